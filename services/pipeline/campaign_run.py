@@ -62,7 +62,7 @@ def first_answer(view: View, library: Library) -> FirstAnswer:
         label=label,
         confidence=confidence,
         truth=[prepared.target.labels[index] for index in prepared.truth],
-        programs=[question.program.written() for question in prepared.questions],
+        programs=[question.program for question in prepared.task.stated()],
         spec=prepared.spec,
         identity=identity(provenance(prepared), label, confidence),
     )

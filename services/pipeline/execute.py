@@ -23,15 +23,12 @@ from services.attacks.method import Method
 from services.attacks.problem import AttackProblem
 from services.attacks.run import AttackState, Budget, run, sampled_error
 from services.attacks.trace import TraceRow
-from services.attacks.verdict import judge
 from services.errors import Cancelled, named
 from services.pipeline.analyse import Report, Subject, analyse
 from services.pipeline.change_files import save_change
-from services.pipeline.expectations import with_cost
 from services.pipeline.extensions import loaded_extensions
 from services.pipeline.leaving_out import LeavingOut, leaving_out
 from services.pipeline.prepare import Prepared, lit_by_map, prepare
-from services.pipeline.question_result import outcome_of, question_results
 from services.pipeline.result import AtEpsilon, Provenance, Result, subset_image
 from services.pipeline.spec import JobSpec
 from services.pipeline.warning import JobWarning
@@ -74,7 +71,7 @@ def execute(
     The files are result.json, trace.json, perturbation.safetensors (one tensor for each group), original.png,
     attacked.png, and perturbation.png (the difference times 5, plus 128); the images of those subsets of the groups
     that are neither empty nor all (`subset_image`), and those of the changes (`Change.images`); for questions also what
-    the network attends to (`question_result`). `progress` is called in every phase and with every row of the trace,
+    the network attends to (`questions`). `progress` is called in every phase and with every row of the trace,
     `checked` once before the attack with the spec as it runs and the warnings. The attack writes the file `checkpoint`
     every few seconds and resumes from it.
     Raises InvalidRequest, JobFailure, or Cancelled once `cancelled()`, which is called before every rendering, is true.
@@ -131,7 +128,7 @@ def _problem(prepared: Prepared, interrupt: Callable[[], None]) -> AttackProblem
         goal=prepared.goal,
         surrogate=prepared.surrogate,
         expectation=attack.expectation,
-        constraint=prepared.limits,
+        constraint=prepared.constraint,
         groups=attack.groups,
         seed=prepared.spec.seed,
         truncation=None if backtracks else limit,
@@ -161,7 +158,7 @@ def _write(
     exact = verifier.render(found.stored)
     attacked = to_bytes(exact).cpu()
     logits = verifier.logits(attacked)
-    first, last, met = int(prepared.logits.argmax()), int(logits.argmax()), bool(goal.fooled(logits))
+    first, met = int(prepared.logits.argmax()), bool(goal.fooled(logits))
     limit = prepared.spec.attack.truncation
     ends = ScoredImage(prepared.exact, original, prepared.logits), ScoredImage(exact, attacked, logits)
     rows = subsets(
@@ -174,10 +171,10 @@ def _write(
         right = prepared.truth or goal.leave or (first,)
         tick = partial(report, "expectation")
         held = held_over(verifier, goal, right, found.stored, asked, seed=prepared.spec.seed, tick=tick)
-    questions = question_results(prepared, found.stored, attacked, out)
+    outcome, questions = prepared.task.judge(prepared.settled, prepared.renderer.name, found.stored, *ends, out)
     result = Result(
         spec=prepared.spec.model_dump(mode="json"),
-        outcome=outcome_of(questions) if questions else judge(prepared.truth, first, last, met),
+        outcome=outcome,
         truth=[labels[i] for i in prepared.truth],
         right_before=first in prepared.truth if prepared.truth else None,
         fooled=found.fooled,
@@ -227,8 +224,7 @@ def _write(
 
 
 def _plan(prepared: Prepared, left_out: LeavingOut | None) -> Plan:
-    plan = with_cost(prepared.renderer.plan, prepared.spec.attack.expectation)
-    plan = plan if prepared.limits is None else prepared.limits.in_plan(plan)
+    plan = prepared.plan()
     return plan if left_out is None else left_out.in_plan(plan)
 
 

@@ -10,7 +10,7 @@ from services.text import did_you_mean
 
 
 @dataclass(frozen=True)
-class Asked:
+class AskedGoal:
     """A goal as the request states it, in label indices. A truth of None is one that the request leaves out."""
 
     goal: Goal
@@ -22,7 +22,7 @@ class Asked:
     reach: int | None
 
 
-def asked(goal: Goal, target: TargetInfo, labels: tuple[str, ...]) -> Asked:
+def asked(goal: Goal, target: TargetInfo, labels: tuple[str, ...]) -> AskedGoal:
     """Looks up the labels of a goal, and with each those that mean the same.
 
     Raises InvalidFields with every label that is not among the target's, and InvalidRequest if the label to reach is
@@ -51,7 +51,7 @@ def asked(goal: Goal, target: TargetInfo, labels: tuple[str, ...]) -> Asked:
     reach = next(iter(reached), None)
     if reach in leave:
         raise InvalidRequest("goal.reach", f"is a label to leave ({labels[reach]!r}); name another one")
-    return Asked(goal, labels, same, truth, leave, reach)
+    return AskedGoal(goal, labels, same, truth, leave, reach)
 
 
 def with_same(labels: frozenset[int], groups: tuple[frozenset[int], ...]) -> frozenset[int]:

@@ -1,18 +1,34 @@
-"""Turns the goal of a request into label indices: the truth, the labels to leave, and the label to reach."""
+"""What a network is asked, and how its answers are judged: the truth, the labels to leave, and the label to reach.
 
-from collections.abc import Collection, Iterable
+A `Task` is what the rest of the pipeline knows of it. `Classification` is that of a network that says what it sees;
+that of a network that answers questions about scenes after CLEVR is in `questions`.
+"""
+
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
 
 from torch import Tensor
 
+from services.analysis.answers import answer
+from services.analysis.subsets import ScoredImage
 from services.analysis.transfer import indices
 from services.attacks.attack import MAX_LABELS, Goal
 from services.attacks.goal import ResolvedGoal
+from services.attacks.limits import Constraint
+from services.attacks.verdict import Verdict, judge
 from services.errors import InvalidRequest
-from services.pipeline.goal_labels import Asked, with_same
+from services.pipeline.goal_labels import AskedGoal, asked, with_same
+from services.pipeline.preview_record import FirstAnswer
+from services.pipeline.question_record import Asked, QuestionResult
 from services.pipeline.warning import JobWarning, warnings
+from services.rendering.plan import Plan
+from services.rendering.protocol import Parameters
+from services.targets import registry
 from services.targets.info import TargetInfo
 from services.targets.labels import truth_labels
+from services.targets.protocol import Target
 from services.targets.scores import probability
 
 
@@ -26,6 +42,97 @@ class Settled:
     truth: tuple[int, ...]
     """The labels that are right; empty if nobody knows them."""
     warnings: tuple[JobWarning, ...]
+
+
+class PlannedConstraint(Constraint, Protocol):
+    """A constraint that the plan states."""
+
+    def in_plan(self, plan: Plan) -> Plan:
+        """The plan with what the search leaves out."""
+        ...
+
+
+class Task(Protocol):
+    """What a network is asked about a scene, and how its answers are judged."""
+
+    @property
+    def target(self) -> Target:
+        """The network under attack, with its question if it takes one."""
+        ...
+
+    @property
+    def goal(self) -> Goal:
+        """The goal of the request, with what follows from a question filled in."""
+        ...
+
+    def settle(self, original: Tensor, logits: Tensor) -> Settled:
+        """Settles the goal, given the original image, uint8 [H, W, 3], and the target's scores [K] of it.
+
+        Raises InvalidRequest for a goal that cannot be met or is met already.
+        """
+        ...
+
+    def constraint(self, renderer: str, initial: Parameters) -> PlannedConstraint | None:
+        """The limits of the search beside those of the request; `initial` are the attacked groups' values."""
+        ...
+
+    def stated(self) -> tuple[Asked, ...]:
+        """The questions with their programs and right answers, as plans and results state them."""
+        ...
+
+    def first_answers(self, original: Tensor, logits: Tensor, goal: ResolvedGoal) -> tuple[FirstAnswer, ...]:
+        """The answers to the original image, one for each question."""
+        ...
+
+    def judge(
+        self, settled: Settled, renderer: str, stored: Parameters, before: ScoredImage, after: ScoredImage, out: Path
+    ) -> tuple[Verdict, list[QuestionResult]]:
+        """What the attack came to, and the records of the questions, whose files are written into `out`.
+
+        `stored` is the perturbation, drawn by `renderer`; `before` and `after` are the exact images without and with
+        it.
+        """
+        ...
+
+
+class Classification:
+    """A network that says what it sees, or answers a question of which nothing but the scores is known."""
+
+    def __init__(self, name: str, target: Target, question: str | None, goal: Goal, meshes: Sequence[str]) -> None:
+        """`name` is the target's in the request. Raises InvalidRequest for a label that the network does not have."""
+        card, labels = registry.card(name), registry.labels(name)
+        self.target, self.goal, self._question = target, goal, question
+        self._asked = asked(goal, card, labels)
+        self._table = table_truth(meshes, card, labels)
+
+    def settle(self, original: Tensor, logits: Tensor) -> Settled:  # noqa: ARG002 - the protocol's
+        """As `settle` does, with the truth of the reviewed table."""
+        return settle(self._asked, self._table, logits)
+
+    def constraint(self, renderer: str, initial: Parameters) -> PlannedConstraint | None:  # noqa: ARG002
+        """None: only a question's answer depends on where things are."""
+        return None
+
+    def stated(self) -> tuple[Asked, ...]:
+        """None: the program of the question is not known, if there is one."""
+        return ()
+
+    def first_answers(self, original: Tensor, logits: Tensor, goal: ResolvedGoal) -> tuple[FirstAnswer, ...]:  # noqa: ARG002
+        """The one answer."""
+        return (FirstAnswer(question=self._question, answer=answer(logits, self.target.labels, goal)),)
+
+    def judge(
+        self,
+        settled: Settled,
+        renderer: str,  # noqa: ARG002 - the protocol's
+        stored: Parameters,  # noqa: ARG002
+        before: ScoredImage,
+        after: ScoredImage,
+        out: Path,  # noqa: ARG002
+    ) -> tuple[Verdict, list[QuestionResult]]:
+        """By the truth, the answers before and after, and whether the goal is met."""
+        first, last = int(before.logits.argmax()), int(after.logits.argmax())
+        return judge(settled.truth, first, last, bool(settled.goal.fooled(after.logits))), []
 
 
 def table_truth(meshes: Iterable[str], target: TargetInfo, labels: tuple[str, ...]) -> tuple[int, ...]:
@@ -53,7 +160,7 @@ def for_another(
     return named or frozenset(table_truth(meshes, target, labels))
 
 
-def settle(asked: Asked, table: Iterable[int], logits: Tensor) -> Settled:
+def settle(asked: AskedGoal, table: Iterable[int], logits: Tensor) -> Settled:
     """Settles a goal, given the table's truth and the network's scores [K] of the original image.
 
     Raises InvalidRequest if the answer is not among the labels to leave, if it is the label to reach, if reaching that
@@ -97,7 +204,7 @@ def settle(asked: Asked, table: Iterable[int], logits: Tensor) -> Settled:
     )
 
 
-def _filled_in(asked: Asked, truth: frozenset[int], leave: frozenset[int]) -> Goal:
+def _filled_in(asked: AskedGoal, truth: frozenset[int], leave: frozenset[int]) -> Goal:
     labels = asked.labels
     names = tuple(labels[i] for i in sorted(leave))
     return asked.goal.model_copy(

@@ -13,21 +13,20 @@ from services.attacks.limits import perturbation_bounds
 from services.attacks.run import Verifier
 from services.attacks.surrogate import Surrogate
 from services.errors import InvalidFields, InvalidRequest, named
-from services.pipeline import goal_labels, goals
+from services.pipeline import goal_labels
 from services.pipeline.analysis_fields import check_analysis, load_targets
 from services.pipeline.checked import Checked
 from services.pipeline.expectations import check_range, moving_groups, with_cost
+from services.pipeline.goals import PlannedConstraint, Settled, Task
 from services.pipeline.job_plan import JobPlan
-from services.pipeline.questions import AskedQuestion, asked_questions, bound, goal_of
+from services.pipeline.questions import task_of
 from services.pipeline.recall import recall
-from services.pipeline.scene_limits import SceneLimits, limits_of
 from services.pipeline.spec import JobSpec
 from services.pipeline.surrogates import check_surrogate, surrogate
-from services.pipeline.together import Together, goals_together, settled_together
 from services.pipeline.warning import JobWarning
 from services.rendering.color import to_bytes
 from services.rendering.factory import build
-from services.rendering.plan import Tolerance
+from services.rendering.plan import Plan, Tolerance
 from services.rendering.protocol import Renderer
 from services.rendering.torch_renderer.declaration import TORCH
 from services.rendering.torch_renderer.preset_names import check_preset
@@ -36,7 +35,7 @@ from services.scenes.description import Environment
 from services.scenes.library import Library
 from services.scenes.resolve import ResolvedScene, resolve
 from services.targets import registry
-from services.targets.protocol import ProgramTarget, Target
+from services.targets.protocol import Target
 
 
 @dataclass
@@ -61,14 +60,17 @@ class Prepared:
     """The network's scores of the original image, [K]."""
     exact: Tensor
     """The exact image of the scene before it is rounded, [H, W, 3] in [0,1]."""
-    answering: ProgramTarget | None = None
-    """The network that answers questions about a scene after CLEVR; `target` is made of it if there are several."""
-    questions: tuple[AskedQuestion, ...] = ()
-    """These questions."""
-    goals: tuple[ResolvedGoal, ...] = ()
-    """The goal of each question."""
-    limits: SceneLimits | None = None
-    """The perturbations that such a scene allows; None where the renderer moves no object."""
+    task: Task
+    """What the network is asked, and how its answers are judged."""
+    settled: Settled
+    """The goal and the truth, which are also fields of this object."""
+    constraint: PlannedConstraint | None
+    """The limits of the search beside those of the request."""
+
+    def plan(self) -> Plan:
+        """The renderer's plan, with the cost of averaging and what limits the search."""
+        plan = with_cost(self.renderer.plan, self.spec.attack.expectation)
+        return plan if self.constraint is None else self.constraint.in_plan(plan)
 
     @property
     def backend(self) -> str:
@@ -94,16 +96,12 @@ def plan(spec: JobSpec, library: Library) -> JobPlan:
     Raises InvalidRequest as `prepare` does, so that a job with a plan also runs.
     """
     found = prepare(spec, library)
-    return plan_of(found.spec, found.renderer, found.questions, found.limits)
+    return plan_of(found)
 
 
-def plan_of(
-    spec: JobSpec, renderer: Renderer, questions: tuple[AskedQuestion, ...], limits: SceneLimits | None
-) -> JobPlan:
-    """Returns the plan of a renderer as a job's: with the cost of averaging, the questions and the search's limits."""
-    found = with_cost(renderer.plan, spec.attack.expectation)
-    found = found if limits is None else limits.in_plan(found)
-    return JobPlan.model_validate(found.model_dump() | {"questions": [one.stated() for one in questions]})
+def plan_of(prepared: Prepared) -> JobPlan:
+    """Returns the plan of a prepared job, with its questions."""
+    return JobPlan.model_validate(prepared.plan().model_dump() | {"questions": prepared.task.stated()})
 
 
 def prepare(spec: JobSpec, library: Library) -> Prepared:
@@ -136,15 +134,10 @@ def _prepare(spec: JobSpec, library: Library, tolerance: Tolerance) -> Prepared:
     )
     scene = resolved_scene(spec, library)
     spec = spec.model_copy(update={"scene": scene.description})
-    target = answering = registry.load(spec.target.name)
-    questions = asked_questions(spec, target)
-    several = goals_together(spec.goal, questions) if spec.target.questions else ()
-    if several and isinstance(answering, ProgramTarget):
-        target = Together(answering, spec.target.together, several)
-    else:
-        target = bound(answering, spec.target)
-        spec = spec.model_copy(update={"goal": goal_of(spec.goal, questions)})
-    asked = goal_labels.asked(spec.goal, card, labels)
+    network = registry.load(spec.target.name)
+    task = task_of(spec, network)
+    target = task.target
+    spec = spec.model_copy(update={"goal": task.goal})
     renderer = _renderer(spec, scene, tolerance)
     if spec.attack.expectation is not None:
         check_range(spec.attack.expectation, renderer)
@@ -162,12 +155,8 @@ def _prepare(spec: JobSpec, library: Library, tolerance: Tolerance) -> Prepared:
     verifier = Verifier(renderer, target)
     exact = _exact_image(spec, scene, verifier)
     original = to_bytes(exact).cpu()
-    logits = _scores(spec, scene, answering, verifier, original)
-    table = goals.table_truth((thing.mesh for thing in spec.scene.objects), card, labels)
-    if several and isinstance(answering, ProgramTarget):
-        settled = settled_together(answering, spec.goal, questions, original)
-    else:
-        settled = goals.settle(asked, table, logits)
+    logits = _scores(spec, scene, network, verifier, original)
+    settled = task.settle(original, logits)
     losses.check(spec.attack.objective, settled.goal, len(target.labels))
     return Prepared(
         spec=spec.model_copy(update={"goal": settled.spec}),
@@ -182,10 +171,9 @@ def _prepare(spec: JobSpec, library: Library, tolerance: Tolerance) -> Prepared:
         original=original,
         logits=logits,
         exact=exact,
-        answering=answering if questions and isinstance(answering, ProgramTarget) else None,
-        questions=questions,
-        goals=several or (settled.goal,),
-        limits=limits_of(questions, renderer.name, {group: start[group] for group in spec.attack.groups}),
+        task=task,
+        settled=settled,
+        constraint=task.constraint(renderer.name, {group: start[group] for group in spec.attack.groups}),
     )
 
 

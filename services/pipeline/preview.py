@@ -6,13 +6,10 @@ from time import perf_counter
 import torch
 from torch import Tensor
 
-from services.analysis.answers import answer
 from services.pipeline.analysis_fields import load_targets
-from services.pipeline.prepare import Prepared, plan_of, prepare, prepare_exactly
-from services.pipeline.preview_record import Cost, FirstAnswer, PlannedCost, Preview
+from services.pipeline.prepare import plan_of, prepare, prepare_exactly
+from services.pipeline.preview_record import Cost, PlannedCost, Preview
 from services.pipeline.spec import JobSpec
-from services.questions.answers import ANSWERS
-from services.rendering.color import from_bytes
 from services.scenes.library import Library
 
 
@@ -23,19 +20,8 @@ def preview(spec: JobSpec, library: Library) -> tuple[Preview, Tensor]:
     """
     found = prepare_exactly(spec, library)
     load_targets(spec)
-    return Preview(spec=found.spec, answers=_answers(found), warnings=found.warnings), found.original
-
-
-@torch.no_grad()
-def _answers(found: Prepared) -> tuple[FirstAnswer, ...]:
-    if found.answering is None:
-        said = answer(found.logits, found.target.labels, found.goal)
-        return (FirstAnswer(question=found.spec.target.asked, answer=said),)
-    scores = found.answering.answers(from_bytes(found.original)[None], [one.asked for one in found.questions])[0]
-    return tuple(
-        FirstAnswer(question=question.words or question.asked, answer=answer(scores[number], ANSWERS, goal))
-        for number, (question, goal) in enumerate(zip(found.questions, found.goals, strict=True))
-    )
+    answers = found.task.first_answers(found.original, found.logits, found.goal)
+    return Preview(spec=found.spec, answers=answers, warnings=found.warnings), found.original
 
 
 def planned_cost(spec: JobSpec, library: Library) -> PlannedCost:
@@ -56,7 +42,7 @@ def planned_cost(spec: JobSpec, library: Library) -> PlannedCost:
         query_seconds=query,
         least_seconds=attack.steps * (image + query),
     )
-    return PlannedCost(plan=plan_of(found.spec, renderer, found.questions, found.limits), cost=cost)
+    return PlannedCost(plan=plan_of(found), cost=cost)
 
 
 @torch.no_grad()

@@ -1,14 +1,30 @@
-"""The question of a job: its program, its right answer by the scene's record, and the goal that follows from them."""
+"""The questions of a job: their programs, their right answers by the scene's record, the goal, and their results.
+
+Several questions about one image are attacked together, as a network of two answers (`Together`).
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import isclose
+from pathlib import Path
 
+import torch
+from safetensors.torch import save_file
+from torch import Tensor
+
+from services.analysis.answers import answer as answer_to
+from services.analysis.images import save_png
+from services.analysis.subsets import ScoredImage
 from services.attacks.attack import Goal
+from services.attacks.goal import ResolvedGoal
+from services.attacks.verdict import SUCCESS, Verdict, judge
 from services.errors import InvalidRequest
 from services.pipeline.described import can_carry, described
-from services.pipeline.question_record import Asked
+from services.pipeline.goals import Classification, Settled, Task
+from services.pipeline.preview_record import FirstAnswer
+from services.pipeline.question_record import ATTENTION, Asked, Attended, QuestionResult
 from services.pipeline.question_request import Call
+from services.pipeline.scene_limits import SceneLimits
 from services.pipeline.spec import JobSpec, TargetChoice
 from services.questions.answers import ANSWERS, KINDS, kind_asked
 from services.questions.executor import IllPosed, answer
@@ -17,7 +33,9 @@ from services.questions.functions import Type
 from services.questions.program import InvalidProgram, Program
 from services.questions.said import difference
 from services.questions.written import program_in
+from services.rendering.color import from_bytes
 from services.rendering.protocol import Parameters
+from services.rendering.pyrender_renderer.declaration import PYRENDER
 from services.scenes.clevr.description import record_after, scene_of
 from services.scenes.clevr.records import IMAGE_SIZE, SceneRecord
 from services.scenes.description import Camera, Scene, SceneObject
@@ -29,6 +47,10 @@ PROPORTION = 0.01
 ROUNDING = 1e-6
 """Largest difference between a scene and the one that follows from its record, for a record that was described on
 another machine, whose trigonometric functions round differently."""
+
+SCALE = 16
+"""Pixels of an attention image for each side of a cell."""
+TOGETHER_LABELS = ("an answer stays", "all answers have left")
 
 
 @dataclass(frozen=True)
@@ -61,6 +83,118 @@ class AskedQuestion:
             return answer(self.program, Facts.of(record_after(self.record, scene)))
         except IllPosed:
             return None
+
+
+def task_of(spec: JobSpec, network: Target) -> Task:
+    """Returns what a request asks of a network. Raises InvalidRequest as `asked_questions` does, and for the goal."""
+    questions = asked_questions(spec, network)
+    if questions and isinstance(network, ProgramTarget):
+        return QuestionTask(network, questions, spec)
+    if spec.goal.leave_kind:
+        raise InvalidRequest("goal.leave_kind", "only a question has a kind of answers; leave it out")
+    meshes = [thing.mesh for thing in spec.scene.objects]
+    return Classification(spec.target.name, bound(network, spec.target), spec.target.asked, spec.goal, meshes)
+
+
+class QuestionTask:
+    """Questions about a scene after CLEVR, whose right answers follow from its record; implements `Task`.
+
+    One is attacked as a classification of answers, several are attacked together.
+    """
+
+    target: Target
+    goal: Goal
+
+    def __init__(self, network: ProgramTarget, questions: Sequence[AskedQuestion], spec: JobSpec) -> None:
+        """Raises InvalidRequest as `goal_of` and `goals_together` do."""
+        self._network, self._questions = network, tuple(questions)
+        self._texts = [question.asked for question in questions]
+        self._alone: Classification | None = None
+        self._goals: tuple[ResolvedGoal, ...] = ()
+        if spec.target.questions:
+            self._goals = goals_together(spec.goal, questions)
+            self.target, self.goal = Together(network, self._texts, self._goals), spec.goal
+        else:
+            self._alone = Classification(
+                spec.target.name, network.asked(self._texts[0]), None, goal_of(spec.goal, questions[0]), ()
+            )
+            self.target, self.goal = self._alone.target, self._alone.goal
+
+    @torch.no_grad()
+    def settle(self, original: Tensor, logits: Tensor) -> Settled:
+        """As `goals.settle` does for one question.
+
+        Raises InvalidRequest ("target.questions.1") for one of several that the network gets wrong, as there is nothing
+        to attack.
+        """
+        if self._alone is not None:
+            return self._alone.settle(original, logits)
+        for question, best in zip(self._questions, self._scores(original).argmax(dim=1).tolist(), strict=True):
+            if ANSWERS[best] != question.right:
+                raise InvalidRequest(
+                    question.field,
+                    f"the network gets it wrong before the attack: it says {ANSWERS[best]!r}, not {question.right!r}; "
+                    "leave it out",
+                )
+        return Settled(self.goal, ResolvedGoal((0,), None), (0,), ())
+
+    def constraint(self, renderer: str, initial: Parameters) -> SceneLimits | None:
+        """That the questions find the same in the scene; None for a renderer that moves no object."""
+        if renderer != PYRENDER.name:
+            return None
+        programs, first = [question.program for question in self._questions], self._questions[0]
+        return SceneLimits(programs, first.record, first.scene, renderer, initial)
+
+    def stated(self) -> tuple[Asked, ...]:
+        """The questions with their programs and right answers."""
+        return tuple(question.stated() for question in self._questions)
+
+    @torch.no_grad()
+    def first_answers(self, original: Tensor, logits: Tensor, goal: ResolvedGoal) -> tuple[FirstAnswer, ...]:  # noqa: ARG002 - the protocol's
+        """The answer to each question."""
+        scores = self._scores(original)
+        return tuple(
+            FirstAnswer(question=question.words or question.asked, answer=answer_to(scores[number], ANSWERS, own))
+            for number, (question, own) in enumerate(zip(self._questions, self._goals or (goal,), strict=True))
+        )
+
+    @torch.no_grad()
+    def judge(
+        self, settled: Settled, renderer: str, stored: Parameters, before: ScoredImage, after: ScoredImage, out: Path
+    ) -> tuple[Verdict, list[QuestionResult]]:
+        """Each question by its right answers before and after; writes the files of attention into `out`."""
+        # One image at a time, as in the verdict: no other image changes bits.
+        ends = [from_bytes(image)[None] for image in (before.saved, after.saved)]
+        scores = [self._network.answers(end, self._texts)[0] for end in ends]
+        masks: dict[str, Tensor] = {}
+        found = []
+        for number, (question, goal) in enumerate(zip(self._questions, self._goals or (settled.goal,), strict=True)):
+            first, last = (answer_to(of[number], ANSWERS, goal) for of in scores)
+            right_after = question.right_after(renderer, stored)
+            found.append(
+                QuestionResult(
+                    **question.stated().model_dump(),
+                    right_after=right_after,
+                    before=first,
+                    after=last,
+                    before_of_kind=first.label in KINDS[question.kind],
+                    after_of_kind=last.label in KINDS[question.kind],
+                    outcome=judge(
+                        (question.right,),
+                        first.label,
+                        last.label,
+                        bool(goal.fooled(scores[1][number])),
+                        () if right_after is None else (right_after,),
+                    ),
+                    attention=_attended(number, question, self._network, ends, masks, out),
+                )
+            )
+        save_file(masks, out / ATTENTION)
+        return outcome_of(found), found
+
+    def _scores(self, image: Tensor) -> Tensor:
+        """The scores [Q, 28] of all questions to an image, uint8 [H, W, 3]."""
+        return self._network.answers(from_bytes(image)[None], self._texts)[0]
 
 
 def bound(target: Target, choice: TargetChoice) -> Target:
@@ -112,18 +246,11 @@ def asked_questions(spec: JobSpec, target: Target) -> tuple[AskedQuestion, ...]:
     )
 
 
-def goal_of(goal: Goal, questions: Sequence[AskedQuestion]) -> Goal:
-    """Returns the goal of a request with the truth of its question, if it has one, and the labels of the kind if these
-    are to be left.
+def goal_of(goal: Goal, question: AskedQuestion) -> Goal:
+    """Returns the goal of a request with the truth of its question, and the labels of the kind if these are to be left.
 
-    Raises InvalidRequest for a truth that is not the question's, for a kind to leave without a question, and for a
-    label to leave beside a kind.
+    Raises InvalidRequest for a truth that is not the question's, and for a label to leave beside a kind.
     """
-    if not questions:
-        if goal.leave_kind:
-            raise InvalidRequest("goal.leave_kind", "only a question has a kind of answers; leave it out")
-        return goal
-    [question] = questions
     if goal.truth is not None and _names(goal.truth) != {question.right}:
         raise InvalidRequest(
             "goal.truth", f"the right answer is {question.right!r}, by the scene's record; leave it out"
@@ -205,3 +332,98 @@ def _is_same(one: SceneObject, other: SceneObject) -> bool:
 def _is_seen_from(one: Camera, other: Camera) -> bool:
     places = ("azimuth", "elevation", "distance", "field_of_view")
     return all(isclose(getattr(one, name), getattr(other, name), abs_tol=ROUNDING) for name in places)
+
+
+class Together:
+    """A target of two labels for questions with a goal each; implements `Target`.
+
+    Its first label says that the answer to one of the questions still is as it was, its second that the goal of every
+    question is met. The difference of their scores is the largest advantage of a question (`ResolvedGoal.advantage`),
+    that of the question that is hardest at present. So every attack, the verifier and the trace work on it as on any
+    network.
+    """
+
+    labels = TOGETHER_LABELS
+    takes_question = False
+
+    def __init__(self, target: ProgramTarget, asked: Sequence[str], goals: Sequence[ResolvedGoal]) -> None:
+        self.name, self.input_size = target.name, target.input_size
+        self.differentiable, self.weights_sha256 = target.differentiable, target.weights_sha256
+        self._target, self._asked, self._goals = target, tuple(asked), tuple(goals)
+
+    @property
+    def backend(self) -> str:
+        """That of the network."""
+        return self._target.backend
+
+    def logits(self, images: Tensor) -> Tensor:
+        """Returns scores [B, 2] of images [B, H, W, 3] in [0,1]; see `Target.logits`."""
+        scores = self._target.answers(images, self._asked)
+        advantages = [goal.advantage(scores[:, number]) for number, goal in enumerate(self._goals)]
+        hardest = torch.stack(advantages).amax(dim=0)
+        return torch.stack([hardest / 2, -hardest / 2], dim=1)
+
+
+def goals_together(goal: Goal, questions: Sequence[AskedQuestion]) -> tuple[ResolvedGoal, ...]:
+    """Returns the goal of each question: to leave its right answer, or the kind of answers.
+
+    Raises InvalidRequest for a goal that names labels, which would be those of one question.
+    """
+    for name in ("truth", "leave", "reach"):
+        if getattr(goal, name) is not None:
+            raise InvalidRequest(f"goal.{name}", "several questions have answers of their own; leave it out")
+    return tuple(
+        ResolvedGoal(
+            tuple(ANSWERS.index(one) for one in (KINDS[question.kind] if goal.leave_kind else (question.right,))),
+            None,
+            goal.least_confidence,
+        )
+        for question in questions
+    )
+
+
+def outcome_of(questions: Sequence[QuestionResult]) -> Verdict:
+    """Returns the outcome of a job with questions: that of its only one; of several, which all were right before,
+    "fooled" if each is.
+    """
+    if len(questions) == 1:
+        return questions[0].outcome
+    return SUCCESS if all(question.outcome == SUCCESS for question in questions) else "held"
+
+
+def _attended(
+    number: int,
+    question: AskedQuestion,
+    target: ProgramTarget,
+    ends: Sequence[Tensor],
+    masks: dict[str, Tensor],
+    out: Path,
+) -> list[Attended]:
+    """Writes the images of a question's attention, and adds its masks to `masks`."""
+    found = []
+    both = [target.attention(end, question.asked) for end in ends]
+    for node, (before, after) in enumerate(zip(*both, strict=True)):
+        if before is None or after is None:
+            continue
+        names = [f"attention-{number}-{node:02}-{when}.png" for when in ("before", "after")]
+        for name, when, mask in zip(names, ("before", "after"), (before[0], after[0]), strict=True):
+            masks[f"{number}.{node}.{when}"] = mask.contiguous()
+            save_png(_grey(mask), out / name)
+        change = (after[0].double() - before[0].double()).abs()
+        found.append(
+            Attended(
+                node=node,
+                before=names[0],
+                after=names[1],
+                change=float(change.sum()),
+                cell_change=float(change.max()),
+            )
+        )
+    return found
+
+
+def _grey(mask: Tensor) -> Tensor:
+    """Returns a mask [h, w] as a grey image, uint8 [16 h, 16 w, 3]."""
+    grey = (255 * mask.clamp(0, 1)).round().to(torch.uint8)
+    large = grey.repeat_interleave(SCALE, dim=0).repeat_interleave(SCALE, dim=1)
+    return large[..., None].expand(-1, -1, 3).contiguous()

@@ -15,12 +15,11 @@ from torch import Tensor
 
 from services.errors import InvalidRequest
 from services.pipeline.described import CAMERA, OF_OBJECTS, can_carry, described
-from services.pipeline.questions import AskedQuestion
 from services.questions.executor import IllPosed, Value, execute
 from services.questions.facts import Facts
+from services.questions.program import Program
 from services.rendering.plan import Item, Plan
 from services.rendering.protocol import Parameters
-from services.rendering.pyrender_renderer.declaration import PYRENDER
 from services.scenes.clevr.description import other_readings, record_after, rig_after, rig_of
 from services.scenes.clevr.generator import MIN_PIXELS, Placed, check, placed_in, visible_pixels
 from services.scenes.clevr.records import Rig, SceneRecord
@@ -40,9 +39,10 @@ class SceneLimits:
     `initial` are the attacked groups' values.
     """
 
-    def __init__(self, questions: Sequence[AskedQuestion], renderer: str, initial: Parameters) -> None:
-        self._programs = [question.program for question in questions]
-        self._record, self._scene = questions[0].record, questions[0].scene
+    def __init__(
+        self, programs: Sequence[Program], record: SceneRecord, scene: Scene, renderer: str, initial: Parameters
+    ) -> None:
+        self._programs, self._record, self._scene = programs, record, scene
         self._renderer = renderer
         self._outputs = self._found(self._record)
         seen = visible_pixels(placed_in(self._record), rig_of(self._record))
@@ -146,11 +146,6 @@ _WHY = {
     "color": "no colour that the question asks about becomes another, or nearly; the others are free",
 }
 """What is said of a group in the plan."""
-
-
-def limits_of(questions: Sequence[AskedQuestion], renderer: str, initial: Parameters) -> SceneLimits | None:
-    """Returns the limits of a job; None without a question, and for a renderer that moves no object."""
-    return SceneLimits(questions, renderer, initial) if questions and renderer == PYRENDER.name else None
 
 
 def _fixed(group: str, value: Tensor) -> Tensor:

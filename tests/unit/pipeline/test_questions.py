@@ -224,6 +224,14 @@ def test_a_preview_answers_each_of_several_questions() -> None:
     assert [one.answer.label for one in found.answers] == [right(LARGE)] * 2
 
 
+def test_only_a_question_and_a_renderer_that_moves_objects_limit_the_search() -> None:
+    moving = {"attack": {"renderer": "pyrender", "groups": ["translation"]}}
+    spec, alone = parse(asking(calls(*LARGE)) | moving), parse({"scene": SPHERE} | moving)
+    assert prepare_exactly(spec, LIBRARY).constraint is not None
+    assert prepare_exactly(alone, LIBRARY).constraint is None
+    assert prepare_exactly(parse(asking(calls(*LARGE)) | {"attack": {"renderer": "torch"}}), LIBRARY).constraint is None
+
+
 def test_words_are_asked_as_their_program() -> None:
     for words, known in TAUGHT.items():
         try:
@@ -231,6 +239,6 @@ def test_words_are_asked_as_their_program() -> None:
         except InvalidRequest:
             continue
         prepared = prepare_exactly(parse(asking(words)), LIBRARY)
-        assert [question.program for question in prepared.questions] == [known]
+        assert [question.program for question in prepared.task.stated()] == [known.written()]
         assert prepared.truth == (ANSWERS.index(expected),)
         assert network_answer(prepared.logits, ANSWERS, prepared.goal).label in ANSWERS

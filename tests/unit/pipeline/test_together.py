@@ -8,8 +8,7 @@ from torch import Tensor
 
 from services.attacks.attack import Goal
 from services.attacks.goal import ResolvedGoal
-from services.pipeline.question_result import outcome_of
-from services.pipeline.together import Together, goals_together
+from services.pipeline.questions import Together, goals_together, outcome_of
 from services.questions.answers import ANSWERS, KINDS
 from services.targets.protocol import ProgramTarget
 
