@@ -5,10 +5,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from services.pipeline.question_record import Attended, QuestionResult, first_changed, most_changed
-from services.questions.executor import Value, execute
-from services.questions.facts import Facts
-from services.questions.functions import Type
-from services.questions.program import TYPE_WORDS, Node, Program
+from services.questions.executor import Facts, Value, execute
+from services.questions.program import TYPE_WORDS, Node, Program, Type
 from services.scenes.clevr.records import SceneRecord
 
 _WORDS = {

@@ -27,9 +27,9 @@ from services.pipeline.perturbation_file import PERTURBATION
 from services.pipeline.question_record import ATTENTION, QuestionResult
 from services.pipeline.result import Result
 from services.pipeline.spec import JobSpec
-from services.questions.answers import kind_asked
+from services.questions.executor import kind_asked
+from services.questions.generator import QuestionRecord
 from services.questions.program import Program
-from services.questions.records import QuestionRecord
 from services.questions.templates.families import FAMILIES
 from services.scenes.clevr.description import record_after
 from services.scenes.clevr.records import SceneRecord

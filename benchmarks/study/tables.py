@@ -12,7 +12,7 @@ from typing import Any, get_args
 
 from benchmarks.study.record import Asked, Job, Record
 from services.analysis.campaign_table import Cell, Rate, share_at
-from services.questions.answers import KINDS, kind_of
+from services.questions.executor import KINDS, kind_of
 from services.questions.templates.families import Kind
 
 TITLES = {

@@ -30,7 +30,7 @@ from services.pipeline.names import attack_name, scene_name
 from services.pipeline.outcome import success
 from services.pipeline.result import Provenance, Result
 from services.pipeline.spec import JobSpec, TargetChoice, digest
-from services.questions.records import QuestionRecord
+from services.questions.generator import QuestionRecord
 from services.rendering.declaration import IMAGE_OF
 
 

@@ -30,8 +30,7 @@ from services.names import Names, reference
 from services.pipeline.field_errors import invalid_fields
 from services.pipeline.question_request import MOST_TOGETHER
 from services.pipeline.spec import AnyAttack, AnyTolerance, JobSpec, TargetChoice, check_labels, with_method
-from services.questions.generator import QuestionGenerator
-from services.questions.records import QuestionRecord
+from services.questions.generator import QuestionGenerator, QuestionRecord
 from services.questions.templates.families import FAMILIES, Kind
 from services.rendering.plan import DEFAULT_TOLERANCE
 from services.scenes import furniture_kinds

@@ -3,8 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from services.questions.functions import FUNCTIONS
-from services.questions.program import TYPE_WORDS
+from services.questions.program import FUNCTIONS, TYPE_WORDS
 from services.rendering.declaration import RENDERERS
 
 

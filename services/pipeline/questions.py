@@ -26,13 +26,9 @@ from services.pipeline.question_record import ATTENTION, Asked, Attended, Questi
 from services.pipeline.question_request import Call
 from services.pipeline.scene_limits import SceneLimits
 from services.pipeline.spec import JobSpec, TargetChoice
-from services.questions.answers import ANSWERS, KINDS, kind_asked
-from services.questions.executor import IllPosed, answer
-from services.questions.facts import Facts
-from services.questions.functions import Type
-from services.questions.program import InvalidProgram, Program
-from services.questions.said import difference
-from services.questions.written import program_in
+from services.questions.executor import ANSWERS, KINDS, Facts, IllPosed, answer, kind_asked
+from services.questions.program import InvalidProgram, Program, Type, program_in
+from services.questions.text import difference
 from services.rendering.color import from_bytes
 from services.rendering.protocol import Parameters
 from services.rendering.pyrender_renderer.declaration import PYRENDER

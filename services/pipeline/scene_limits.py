@@ -15,8 +15,7 @@ from torch import Tensor
 
 from services.errors import InvalidRequest
 from services.pipeline.described import CAMERA, OF_OBJECTS, can_carry, described
-from services.questions.executor import IllPosed, Value, execute
-from services.questions.facts import Facts
+from services.questions.executor import Facts, IllPosed, Value, execute
 from services.questions.program import Program
 from services.rendering.plan import Item, Plan
 from services.rendering.protocol import Parameters

@@ -1,12 +1,81 @@
-"""Executes a question's program on the truth of a scene."""
+"""Executes a question's program on the truth of a scene; lists the 28 answers and their kinds."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from services.errors import InvalidRequest
-from services.questions.answers import MAX_COUNT
-from services.questions.facts import Facts, Objects
-from services.questions.program import Node, Program
+from services.questions.program import FUNCTIONS, Node, Program, Type
+from services.scenes.clevr.records import ATTRIBUTES, RELATIONS, SceneRecord
+from services.text import there_are
+
+Objects = frozenset[int]
+"""Indices of objects of a scene."""
+
+
+@dataclass(frozen=True)
+class Facts:
+    """The truth about a scene. Objects are their indices in its record.
+
+    `values[attribute][k]` is a value of object k, `having[attribute, value]` are the objects with a value, and
+    `related[relation][k]` the objects that have a relation to object k.
+    """
+
+    everything: Objects
+    values: dict[str, tuple[str, ...]]
+    having: dict[tuple[str, str], Objects]
+    related: dict[str, tuple[Objects, ...]]
+
+    @classmethod
+    def of(cls, record: SceneRecord) -> "Facts":
+        """Returns the facts in a scene's record; relations are those that stand in it."""
+        values = {name: tuple(one.value(name) for one in record.objects) for name in ATTRIBUTES}
+        return cls(
+            everything=frozenset(range(len(record.objects))),
+            values=values,
+            having={
+                (name, value): frozenset(k for k, found in enumerate(values[name]) if found == value)
+                for name, known in ATTRIBUTES.items()
+                for value in known
+            },
+            related={name: tuple(frozenset(row) for row in record.relationships[name]) for name in RELATIONS},
+        )
+
+    def same(self, attribute: str, k: int) -> Objects:
+        """Returns the other objects that share object k's value of an attribute."""
+        return self.having[attribute, self.values[attribute][k]] - {k}
+
+
+MAX_COUNT = 10
+"""Largest number that is an answer."""
+
+KINDS: dict[Type, tuple[str, ...]] = {
+    "boolean": ("yes", "no"),
+    "integer": tuple(str(n) for n in range(MAX_COUNT + 1)),
+    "shape": ATTRIBUTES["shape"],
+    "size": ATTRIBUTES["size"],
+    "color": ATTRIBUTES["color"],
+    "material": ATTRIBUTES["material"],
+}
+"""The answers of each kind; a kind is a type that a program may end in."""
+
+ANSWERS: tuple[str, ...] = tuple(answer for kind in KINDS.values() for answer in kind)
+"""All answers. Networks score them in this order."""
+
+_KIND_OF = {answer: kind for kind, answers in KINDS.items() for answer in answers}
+
+
+def kind_of(answer: str) -> Type:
+    """Returns the kind of an answer. Raises InvalidRequest("answer") if it is none."""
+    if answer not in _KIND_OF:
+        raise InvalidRequest("answer", f"there is no answer {answer!r}; {there_are(answer, ANSWERS)}")
+    return _KIND_OF[answer]
+
+
+def kind_asked(program: Program) -> Type:
+    """Returns the kind of answer that a valid program asks for."""
+    return FUNCTIONS[program.nodes[-1].function].output
+
 
 Value = Objects | int | bool | str
 """A node's output: a set or the index of an object, a number, a truth value, or a value of an attribute."""

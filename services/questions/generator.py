@@ -1,19 +1,67 @@
-"""Generates questions about scenes, balanced over families, functions and answers."""
+"""Generates questions about scenes, balanced over families, functions and answers, in the form of CLEVR's files."""
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from random import Random
+from typing import Annotated, Any
 
-from services.questions.executor import answer
-from services.questions.facts import Facts
+from pydantic import BeforeValidator, PlainSerializer, PlainValidator
+
+from services.questions.executor import ANSWERS, Facts, answer, kind_of
 from services.questions.program import Program
-from services.questions.records import QuestionRecord
-from services.questions.templates.build import build
-from services.questions.templates.families import FAMILIES, Family
-from services.questions.templates.phrases import Filled
-from services.questions.templates.search import instances
+from services.questions.templates.families import FAMILIES, Family, Filled
+from services.questions.templates.search import build, instances
 from services.questions.templates.wording import word
-from services.scenes.clevr.records import SceneRecord
+from services.scenes.clevr.records import Info, Record, SceneRecord
+
+
+def _answer(value: object) -> object:
+    """CLEVR's generator writes truth values and numbers as such; its published files have words."""
+    if isinstance(value, bool):
+        value = "yes" if value else "no"
+    elif isinstance(value, int):
+        value = str(value)
+    if isinstance(value, str) and value not in ANSWERS:
+        kind_of(value)
+    return value
+
+
+def _program(value: object) -> Program:
+    return value if isinstance(value, Program) else Program.read(value)
+
+
+def _written(program: Program) -> list[dict[str, Any]]:
+    return program.written()
+
+
+Answer = Annotated[str, BeforeValidator(_answer)]
+WrittenProgram = Annotated[Program, PlainValidator(_program), PlainSerializer(_written)]
+
+
+class QuestionRecord(Record):
+    """A question about an image. CLEVR's test questions have neither answer nor program nor family.
+
+    A program that was read has the form of CLEVR's; whether it is valid is for `Program.check` to say.
+    `question_family_index` is an index into `templates.families.FAMILIES` in files made here; official files count
+    CLEVR's own templates.
+    """
+
+    split: str
+    image_index: int
+    image_filename: str
+    question: str
+    question_index: int | None = None
+    question_family_index: int | None = None
+    answer: Answer | None = None
+    program: WrittenProgram | None = None
+
+
+class QuestionFile(Record):
+    """A file of questions."""
+
+    info: Info
+    questions: tuple[QuestionRecord, ...]
+
 
 TRIES = 8
 """Questions of a family that are drawn in a scene until one has an answer given no more often than the mean."""

@@ -1,13 +1,57 @@
-"""A question's functional program, its checks, and its form in CLEVR's files."""
+"""A question's functional program: its functions and their types, its checks, its form in CLEVR's files, and as a text.
 
-from collections.abc import Sequence
+The functions are those of CLEVR (Johnson et al. 2017). A function takes the outputs of earlier ones, and some take a
+value that stands in the program, such as the colour in `filter_color[red]`. Targets that answer questions take one
+text: a question's words, or its program as JSON (`written`).
+"""
+
+import json
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal
 
 from services.errors import InvalidRequest
-from services.questions.functions import FUNCTIONS, Type
+from services.scenes.clevr.records import ATTRIBUTES, RELATIONS
 from services.text import there_are
+
+Type = Literal["set", "object", "integer", "boolean", "size", "color", "material", "shape"]
+"""What a function takes or gives: a set of objects, one object, a number, a truth value, a value of an attribute."""
+
+
+@dataclass(frozen=True)
+class Function:
+    """A function: the types of its inputs and output, and the values it may have (none: it has no value)."""
+
+    name: str
+    inputs: tuple[Type, ...]
+    output: Type
+    values: tuple[str, ...] = ()
+
+
+ATTRIBUTE_TYPES: tuple[Type, ...] = ("size", "color", "material", "shape")
+
+
+def _catalogue() -> Iterator[Function]:
+    yield Function("scene", (), "set")
+    yield Function("unique", ("set",), "object")
+    yield Function("relate", ("object",), "set", RELATIONS)
+    yield Function("union", ("set", "set"), "set")
+    yield Function("intersect", ("set", "set"), "set")
+    yield Function("count", ("set",), "integer")
+    yield Function("exist", ("set",), "boolean")
+    for attribute in ATTRIBUTE_TYPES:
+        yield Function(f"filter_{attribute}", ("set",), "set", ATTRIBUTES[attribute])
+        yield Function(f"query_{attribute}", ("object",), attribute)
+        yield Function(f"same_{attribute}", ("object",), "set")
+        yield Function(f"equal_{attribute}", (attribute, attribute), "boolean")
+    for comparison in ("equal_integer", "less_than", "greater_than"):
+        yield Function(comparison, ("integer", "integer"), "boolean")
+
+
+FUNCTIONS: dict[str, Function] = {function.name: function for function in _catalogue()}
+"""All functions by name."""
+
 
 MAX_NODES = 64
 """Largest program that is accepted; CLEVR's have at most 26 nodes."""
@@ -153,3 +197,24 @@ def _checked(index: int, node: Node, before: Sequence[Type]) -> Type:
 
 def _number(count: int, what: str) -> str:
     return f"no {what}" if not count else f"{count} {what}" if count == 1 else f"{count} {what}s"
+
+
+def written(program: Program) -> str:
+    """Returns a program as a text, JSON as in CLEVR's question files."""
+    return json.dumps(program.written(), separators=(",", ":"))
+
+
+def program_in(question: str) -> Program | None:
+    """Returns the program that a text is, checked; None for a question in words.
+
+    Raises InvalidProgram for a program that is invalid, InvalidRequest("question") for what begins as a program's JSON
+    and is none.
+    """
+    if not question.lstrip().startswith("["):
+        return None
+    try:
+        found = Program.read(json.loads(question))
+    except (json.JSONDecodeError, RecursionError) as error:
+        raise InvalidRequest("question", f"it begins as the JSON of a program and is none: {error}") from error
+    found.check()
+    return found

@@ -1,10 +1,18 @@
-"""Splits a question's text into words, and knows the words of CLEVR's language."""
+"""The words of CLEVR's language: splits a question into them, and compares it with a program that was made of it.
+
+A generator of programs writes one for every text of known words, also for one that is no question of the language. What
+such a text says is then missing in its program, or is there twice.
+"""
 
 import re
+from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
 from services.errors import InvalidRequest
+from services.questions.program import Program
+from services.questions.templates.wording import RELATIONS, SYNONYMS
+from services.scenes.clevr.records import ATTRIBUTES
 from services.text import did_you_mean
 
 MAX_WORDS = 128
@@ -60,3 +68,62 @@ def encoded(text: str) -> list[int]:
 def decoded(indices: Sequence[int]) -> list[str]:
     """Returns the words at these indices of WORDS."""
     return [WORDS[index] for index in indices]
+
+
+_NAMES = {name: value for value, names in SYNONYMS.items() for name in names}
+_VALUES = frozenset(RELATIONS).union(*ATTRIBUTES.values())
+_ASKING = {
+    "equal_integer": ("number",),
+    "less_than": ("fewer", "less"),
+    "greater_than": ("more", "greater"),
+}
+_OF_ATTRIBUTES = {
+    "size": ("size", "how big"),
+    "color": ("color",),
+    "material": ("material", "made"),
+    "shape": ("shape",),
+}
+
+
+def difference(question: str, program: Program) -> str | None:
+    """Returns how a program differs from the words of its question, such as "the question has 'left' once, the program
+    0 times".
+
+    None if each colour, size, material, shape and relation is in the question as often as in the program, and the
+    question has a word for what the program asks for: so it is for every question of the language with its program.
+    """
+    text = " ".join(tokens(question))
+    said = Counter(filter(None, map(_value, re.sub("how big", "how", text).split())))
+    asked = Counter(value for node in program.nodes for value in node.values)
+    for value in sorted(said | asked):
+        if said[value] != asked[value]:
+            return f"the question has {value!r} {_times(said[value])}, the program {_times(asked[value])}"
+    for node in program.nodes:
+        words = (
+            ("many", "number") if node is program.nodes[-1] and node.function == "count" else _words_of(node.function)
+        )
+        if words and not any(re.search(rf"\b{word}\b", text) for word in words):
+            return f"the program has {node.function!r}, the question no {' or '.join(map(repr, words))}"
+    return None
+
+
+def _value(word: str) -> str | None:
+    for form in (word, word.removesuffix("s")):
+        value = _NAMES.get(form, form)
+        if value in _VALUES:
+            return value
+    return None
+
+
+def _words_of(function: str) -> tuple[str, ...]:
+    """Returns the words of which a question has one if its program has this function; none: it needs no word."""
+    if function in _ASKING:
+        return _ASKING[function]
+    kind, _, attribute = function.partition("_")
+    if kind in ("query", "same", "equal") and attribute in _OF_ATTRIBUTES:
+        return _OF_ATTRIBUTES[attribute]
+    return ()
+
+
+def _times(count: int) -> str:
+    return "once" if count == 1 else f"{count} times"

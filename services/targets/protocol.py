@@ -59,7 +59,7 @@ class Target(Protocol):
 @runtime_checkable
 class QuestionTarget(Target, Protocol):
     """A target that answers questions. A question is one text: its words, or its program as JSON
-    (`services.questions.written`).
+    (`services.questions.program`).
     """
 
     def asked(self, question: str) -> Target:

@@ -13,7 +13,7 @@ from tests.integration.specs import ENDLESS, QUICK
 pytestmark = pytest.mark.integration
 
 SEEDED = """
-from services.questions.answers import ANSWERS
+from services.questions.executor import ANSWERS
 from services.targets.iep.card import CARD
 from services.targets.info import register
 

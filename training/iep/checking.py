@@ -8,7 +8,7 @@ from typing import Any
 import torch
 
 from services.errors import InvalidRequest
-from services.questions.answers import ANSWERS
+from services.questions.executor import ANSWERS
 from services.questions.program import Program
 from services.rendering.color import from_bytes
 from services.targets.iep.assembly import Question, assemble

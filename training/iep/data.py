@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.errors import InvalidRequest
-from services.questions.facts import Facts
+from services.questions.executor import Facts
 from services.questions.generator import QuestionGenerator
 from services.scenes.clevr.description import describe
 from services.scenes.clevr.generator import generate

@@ -3,11 +3,9 @@
 from dataclasses import dataclass
 from functools import cached_property
 
-from services.questions.executor import Value, execute
-from services.questions.facts import Facts
-from services.questions.functions import Type
-from services.questions.program import Program
-from services.questions.records import QuestionRecord
+from services.questions.executor import Facts, Value, execute
+from services.questions.generator import QuestionRecord
+from services.questions.program import Program, Type
 from services.questions.templates.families import FAMILIES
 from services.scenes.clevr.records import ATTRIBUTES, ObjectRecord
 from services.targets.iep.engine import GRID, STRIDE

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from services.questions.answers import ANSWERS
+from services.questions.executor import ANSWERS
 from services.targets.iep.assembly import Slot
 from services.targets.iep.engine import N_CELLS, Execution
 from training.iep.examples import Example

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from services.questions.answers import ANSWERS
+from services.questions.executor import ANSWERS
 from services.statistics import wilson
 from services.targets.iep.engine import Engine
 from training.iep.engine_training import execute

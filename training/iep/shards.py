@@ -17,7 +17,7 @@ from safetensors import SafetensorError, safe_open
 
 from services import disk
 from services.errors import InvalidRequest
-from services.questions.records import QuestionFile, QuestionRecord
+from services.questions.generator import QuestionFile, QuestionRecord
 from services.scenes.clevr.records import Info, SceneFile, SceneRecord
 
 Bytes = NDArray[np.uint8]

@@ -12,8 +12,7 @@ here.
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from services.questions.functions import FUNCTIONS
-from services.questions.program import Program
+from services.questions.program import FUNCTIONS, Program
 
 MAPPED = ("set", "object")
 """Types of results that are a map, a mask over the image. All others are a vector, with scores over the answers."""

@@ -6,7 +6,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from services.questions.answers import ANSWERS
+from services.questions.executor import ANSWERS
 from services.targets.info import TargetInfo, register
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from safetensors.torch import save
 from torch import Tensor, nn
 
 from services.errors import summary
-from services.questions.answers import ANSWERS
+from services.questions.executor import ANSWERS
 from services.questions.text import WORDS
 from services.targets.iep.assembly import KINDS
 from services.targets.iep.engine import Network

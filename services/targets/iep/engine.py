@@ -19,7 +19,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from services.questions.answers import ANSWERS
+from services.questions.executor import ANSWERS
 from services.targets.iep.assembly import COMPARING, JOINING, MAPPED, MAPPING, READING, Assembly, Call, Slot
 
 IMAGE = (240, 320)

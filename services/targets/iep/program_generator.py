@@ -13,8 +13,7 @@ from torch import Tensor, nn
 from torch.nn.utils.rnn import pack_padded_sequence, pad_packed_sequence
 
 from services.errors import InvalidRequest
-from services.questions.functions import FUNCTIONS
-from services.questions.program import MAX_NODES, InvalidProgram, Node, Program
+from services.questions.program import FUNCTIONS, MAX_NODES, InvalidProgram, Node, Program
 from services.questions.text import WORDS, encoded
 
 TOKENS = tuple(

@@ -1,7 +1,7 @@
 """IEP as a target: an image and a question in, scores over the 28 answers out.
 
 The question fixes the program: one in words is turned into it by the program generator, which sees no image, so that
-all images of an attack are asked the same. A question may be a program itself (`services.questions.written`).
+all images of an attack are asked the same. A question may be a program itself (`services.questions.program`).
 """
 
 from __future__ import annotations
@@ -19,9 +19,8 @@ from torch.nn import functional as F
 
 from services.device import describe, device
 from services.errors import InvalidRequest
-from services.questions.answers import ANSWERS
-from services.questions.program import InvalidProgram, Program
-from services.questions.written import program_in
+from services.questions.executor import ANSWERS
+from services.questions.program import InvalidProgram, Program, program_in
 from services.targets.iep.assembly import MAPPED, Question, assemble
 from services.targets.iep.checkpoint import HOW_TO_GET_WEIGHTS, Checkpoint, load
 from services.targets.iep.engine import IMAGE

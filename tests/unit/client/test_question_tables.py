@@ -8,7 +8,7 @@ from client.tables import print_answered, print_asked, program_text
 from services.analysis.records import Answer
 from services.attacks.verdict import Verdict
 from services.pipeline.question_record import Asked, Attended, QuestionResult
-from services.questions.answers import ANSWERS, KINDS
+from services.questions.executor import ANSWERS, KINDS
 from services.questions.program import Node, Program
 
 WORDS = "Is there a cube to the left of the red thing?"

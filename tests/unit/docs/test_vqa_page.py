@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from services.pipeline.spec import parse
-from services.questions.answers import ANSWERS
-from services.questions.functions import FUNCTIONS
+from services.questions.executor import ANSWERS
+from services.questions.program import FUNCTIONS
 from services.questions.templates.families import FAMILIES
 from services.questions.text import WORDS
 from services.scenes.clevr.description import scene_of

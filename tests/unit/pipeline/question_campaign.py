@@ -11,8 +11,8 @@ import torch
 from services.pipeline.campaign_plan import views
 from services.pipeline.campaign_spec import parse
 from services.pipeline.prepare import prepare_exactly
+from services.questions.generator import QuestionRecord
 from services.questions.program import Program
-from services.questions.records import QuestionRecord
 from services.targets import registry
 from services.targets.iep.checkpoint import Checkpoint
 from services.targets.iep.target import IepTarget

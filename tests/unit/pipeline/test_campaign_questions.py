@@ -10,8 +10,7 @@ from services.pipeline.campaign_check import check_meshes, check_size, most_jobs
 from services.pipeline.campaign_plan import FirstAnswer, choose, jobs, views
 from services.pipeline.campaign_run import run_campaign
 from services.pipeline.campaign_spec import CampaignSpec, parse
-from services.questions.executor import answer
-from services.questions.facts import Facts
+from services.questions.executor import Facts, answer
 from services.questions.templates.families import FAMILIES
 from services.scenes.clevr.generator import generate
 from tests.unit.jobs.small import LIBRARY

@@ -7,8 +7,7 @@ import pytest
 
 from client.commands.demo import QUESTION
 from services.pipeline.spec import parse
-from services.questions.executor import answer
-from services.questions.facts import Facts
+from services.questions.executor import Facts, answer
 from services.questions.program import Node, Program
 from services.questions.text import encoded
 from services.scenes.clevr.records import SceneRecord

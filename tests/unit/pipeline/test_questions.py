@@ -17,9 +17,7 @@ from services.pipeline.prepare import preflight, prepare_exactly
 from services.pipeline.preview import preview
 from services.pipeline.question_record import ATTENTION
 from services.pipeline.spec import JobSpec, digest, parse
-from services.questions.answers import ANSWERS, KINDS
-from services.questions.executor import answer
-from services.questions.facts import Facts
+from services.questions.executor import ANSWERS, KINDS, Facts, answer
 from services.scenes.clevr.description import describe
 from services.targets import registry
 from services.targets.iep.target import IepTarget

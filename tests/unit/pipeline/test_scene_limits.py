@@ -8,9 +8,7 @@ import torch
 
 from services.pipeline.questions import AskedQuestion
 from services.pipeline.scene_limits import SceneLimits
-from services.questions.answers import kind_asked
-from services.questions.executor import answer
-from services.questions.facts import Facts
+from services.questions.executor import Facts, answer, kind_asked
 from services.questions.program import Program
 from services.rendering.protocol import Parameters
 from services.scenes.clevr.description import describe, rig_of

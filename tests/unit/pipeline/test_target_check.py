@@ -1,5 +1,5 @@
 from services.pipeline.target_check import check
-from services.questions.answers import ANSWERS
+from services.questions.executor import ANSWERS
 from services.targets import registry
 from tests.unit.jobs.small import LIBRARY
 from tests.unit.targets.iep.seeded import INFO, target

@@ -9,7 +9,7 @@ from torch import Tensor
 from services.attacks.attack import Goal
 from services.attacks.goal import ResolvedGoal
 from services.pipeline.questions import Together, goals_together, outcome_of
-from services.questions.answers import ANSWERS, KINDS
+from services.questions.executor import ANSWERS, KINDS
 from services.targets.protocol import ProgramTarget
 
 

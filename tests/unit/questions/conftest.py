@@ -2,8 +2,7 @@
 
 import pytest
 
-from services.questions.generator import QuestionGenerator
-from services.questions.records import QuestionRecord
+from services.questions.generator import QuestionGenerator, QuestionRecord
 from services.scenes.clevr.generator import generate
 from services.scenes.clevr.records import SceneRecord
 

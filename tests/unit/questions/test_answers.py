@@ -3,7 +3,7 @@
 import pytest
 
 from services.errors import InvalidRequest
-from services.questions.answers import ANSWERS, KINDS, kind_asked, kind_of
+from services.questions.executor import ANSWERS, KINDS, kind_asked, kind_of
 
 pytestmark = pytest.mark.slow
 

@@ -8,10 +8,8 @@ from random import Random
 import pytest
 
 from services.errors import InvalidRequest
-from services.questions.executor import IllPosed, answer, execute
-from services.questions.facts import Facts
-from services.questions.functions import FUNCTIONS
-from services.questions.program import InvalidProgram, Node, Program
+from services.questions.executor import Facts, IllPosed, answer, execute
+from services.questions.program import FUNCTIONS, InvalidProgram, Node, Program
 from services.scenes.clevr.generator import generate
 from services.scenes.clevr.records import SceneRecord
 from tests.unit.questions.brute_force import ILL_POSED, meaning

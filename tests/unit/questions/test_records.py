@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from services.errors import InvalidRequest
+from services.questions.generator import QuestionFile
 from services.questions.program import Node
-from services.questions.records import QuestionFile
 from services.scenes.clevr.records import Info
 
 OFFICIAL = {

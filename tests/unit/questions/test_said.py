@@ -3,7 +3,7 @@
 import pytest
 
 from services.questions.program import Node, Program
-from services.questions.said import difference
+from services.questions.text import difference
 
 
 def test_questions_of_the_language_agree_with_their_programs(asked) -> None:

@@ -5,13 +5,11 @@ from random import Random
 
 import pytest
 
-from services.questions.executor import execute
-from services.questions.facts import Facts
+from services.questions.executor import Facts, execute
+from services.questions.generator import QuestionRecord
 from services.questions.program import Program
-from services.questions.records import QuestionRecord
-from services.questions.templates.build import build
 from services.questions.templates.families import FAMILIES
-from services.questions.templates.search import instances
+from services.questions.templates.search import build, instances
 from services.scenes.clevr.generator import generate
 
 pytestmark = pytest.mark.slow

@@ -13,8 +13,7 @@ from benchmarks.study.recording import of_folder
 from services.pipeline.campaign_plan import write
 from services.pipeline.campaign_run import run_campaign
 from services.pipeline.campaign_spec import parse
-from services.questions.executor import answer
-from services.questions.facts import Facts
+from services.questions.executor import Facts, answer
 from tests.unit.docs.study.test_study_page import row
 from tests.unit.docs.study.test_study_records import SMALL, job
 from tests.unit.jobs.small import LIBRARY

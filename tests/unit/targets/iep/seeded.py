@@ -5,7 +5,7 @@ from functools import cache
 import torch
 from torch.nn import functional as F
 
-from services.questions.answers import ANSWERS
+from services.questions.executor import ANSWERS
 from services.questions.program import Node, Program
 from services.questions.text import encoded
 from services.targets.iep.card import CARD

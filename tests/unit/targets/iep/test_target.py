@@ -5,10 +5,9 @@ import torch
 from torch.nn import functional as F
 
 from services.errors import InvalidRequest
-from services.questions.answers import ANSWERS
-from services.questions.program import InvalidProgram
+from services.questions.executor import ANSWERS
+from services.questions.program import InvalidProgram, program_in, written
 from services.questions.text import UnknownWord
-from services.questions.written import program_in, written
 from services.targets import registry
 from services.targets.iep.assembly import Question, assemble
 from services.targets.iep.card import CARD

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from services.errors import InvalidRequest
-from services.questions.answers import ANSWERS
+from services.questions.executor import ANSWERS
 from services.questions.program import Program
 from services.statistics import wilson
 from services.targets.iep.assembly import Question, assemble

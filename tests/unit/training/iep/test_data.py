@@ -5,8 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from services.questions.executor import answer
-from services.questions.facts import Facts
+from services.questions.executor import Facts, answer
 from services.scenes.clevr.generator import generate
 from services.scenes.library import Library
 from tests.unit.training.iep.small import SEED, After, never, silent

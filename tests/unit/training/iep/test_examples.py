@@ -1,4 +1,4 @@
-from services.questions.facts import Facts
+from services.questions.executor import Facts
 from services.questions.generator import QuestionGenerator
 from services.scenes.clevr.generator import generate
 from training.iep.examples import Example, ObjectTruth
