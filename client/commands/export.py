@@ -62,8 +62,7 @@ def _export_folder(folder: Path, to: Path | None) -> Path:
     with JobLine(str(folder)) as line:
         line.update("loading", 0, 1, None)
         assets = library(settings)
-        from services.export.bundle import write_bundle
-        from services.export.destinations import into_folder, zipped
+        from services.export.bundle import into_folder, write_bundle, zipped
 
         files = {path.name: path.read_bytes for path in folder.iterdir() if path.is_file()}
         if to.suffix != ".zip":
@@ -82,7 +81,7 @@ def _export_job(job: str, to: Path | None, url: str) -> Path:
     from client import operations
     from client.client import Client
     from client.commands.options import SHORT, job_id
-    from services.export.destinations import into_folder
+    from services.export.bundle import into_folder
     from services.scenes.bundle import clean_name
 
     with Client(url) as client, TemporaryDirectory() as folder:

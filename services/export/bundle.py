@@ -1,12 +1,15 @@
-"""Everything of a finished job that another program can use, file by file."""
+"""Everything of a finished job that another program can use, file by file, into a folder or a zip file."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.resources import files as resources
 from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import BinaryIO
+from zipfile import ZIP_DEFLATED, ZIP_STORED, ZipFile, ZipInfo
 
 import numpy as np
 from PIL import Image
@@ -15,14 +18,10 @@ from safetensors import SafetensorError
 from safetensors.torch import load
 
 from services.errors import InvalidRequest
-from services.export.files import Files
-from services.export.light_map import write_exr
-from services.export.parameters import parameter_table
-from services.export.readme import readme
-from services.export.report import report
-from services.export.scene_glb import scene_glb
+from services.export.glb import scene_glb
+from services.export.parameters import as_colors, light_maps, normal_maps, parameter_table, write_exr
+from services.export.report import Files, readme, report
 from services.export.scene_values import moves_the_scene, scene_values
-from services.export.torch_values import as_colors, light_maps, normal_maps
 from services.pipeline.execute import RESULT
 from services.pipeline.exported_targets import exported_targets, write_targets
 from services.pipeline.names import job_name
@@ -35,6 +34,34 @@ from services.rendering.torch_renderer.declaration import TORCH
 from services.scenes.exported_assets import write_assets
 from services.scenes.library import Library
 from services.scenes.resolve import ResolvedScene
+
+_COMPRESSED = (".png", ".jpg", ".exr", ".sh3f", ".zip")
+
+
+@contextmanager
+def zipped(file: BinaryIO, folder: str) -> Iterator[Callable[[str, bytes], None]]:
+    """Yields a function that adds a file to a zip file under `folder`; the same files give the same bytes."""
+    with ZipFile(file, "w") as archive:
+
+        def write(name: str, data: bytes) -> None:
+            entry = ZipInfo(f"{folder}/{name}", (1980, 1, 1, 0, 0, 0))
+            entry.external_attr = 0o644 << 16
+            archive.writestr(entry, data, ZIP_STORED if name.endswith(_COMPRESSED) else ZIP_DEFLATED)
+
+        yield write
+
+
+def into_folder(folder: Path) -> Callable[[str, bytes], None]:
+    """A function that writes a file into a folder, which is made; so are the folders of the file's path in it."""
+    folder.mkdir(parents=True, exist_ok=True)
+
+    def write(name: str, data: bytes) -> None:
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(data)
+
+    return write
+
 
 STOCK = ("render_exported.py", "mesh.vert", "mesh.frag")
 """What draws a `.glb` of the bundle with trimesh and pyrender."""

@@ -1,14 +1,27 @@
-"""The attacked parameters by name, unit, and value before and after."""
+"""The attacked parameters by name, unit, and value before and after.
+
+Of the torch renderer, normals are written as vectors, and light as a map: an OpenEXR image as other programs read it.
+"""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 
+import numpy as np
+import OpenEXR
+import torch
 from pydantic import BaseModel, Field
 from torch import Tensor
 
 from services.rendering.declaration import RENDERERS
+from services.rendering.opengl.gbuffer import rasterise
 from services.rendering.protocol import Parameters
 from services.rendering.pyrender_renderer.declaration import PYRENDER
 from services.rendering.pyrender_renderer.parameters import ENERGY, IRRADIANCE, SceneParameters
+from services.rendering.torch_renderer.light import illumination
+from services.rendering.torch_renderer.surfaces import visible_surfaces
+from services.rendering.torch_renderer.table import to_vectors
+from services.scenes.mesh import Bytes, Floats
 from services.scenes.resolve import ResolvedScene
 
 
@@ -97,3 +110,68 @@ def _unit(group: str, name: str) -> tuple[float, str]:
     if word == "energy":
         return (IRRADIANCE, "irradiance") if name.startswith("directional") else (ENERGY, "radiant intensity")
     return 1.0, "1 (of a unit vector)" if "direction" in name.split()[2:] else "scene units"
+
+
+@dataclass(frozen=True)
+class BeforeAfter:
+    """An array before and after an attack."""
+
+    before: Floats
+    after: Floats
+
+
+def light_maps(scene: ResolvedScene, perturbation: Parameters) -> BeforeAfter:
+    """The radiance [rows, cols, 3] of the map's texels after the exposure, in linear display units, float32."""
+    light = illumination(torch.as_tensor(scene.environment))
+
+    def radiance(intensity: Tensor) -> Floats:
+        found = light.exposure * light.chroma * intensity.clamp_min(0.0)
+        return np.asarray(found.numpy(), np.float32)
+
+    own = light.intensity[..., None]
+    moved = own
+    if "illumination" in perturbation:
+        moved = moved + perturbation["illumination"].double()[..., None]
+    if "illumination_rgb" in perturbation:
+        moved = moved + perturbation["illumination_rgb"].double()
+    return BeforeAfter(radiance(own), radiance(moved))
+
+
+def normal_maps(scene: ResolvedScene, perturbation: Parameters) -> BeforeAfter:
+    """The unit normals [H, W, 3] that the pixels are shaded by, in the camera's frame (+x right, +y up, +z towards the
+    viewer), float32; 0 where nothing is. Draws with OpenGL."""
+    gbuffer = rasterise(scene)
+    to_camera = torch.as_tensor(scene.view, dtype=torch.float64)[:3, :3]
+    angles = visible_surfaces(gbuffer, to_camera).image
+    seen = (gbuffer.coverage > 0)[..., None]
+
+    def vectors(of: Tensor) -> Floats:
+        return np.asarray((to_vectors(of.double()) * seen).numpy(), np.float32)
+
+    change = perturbation.get("normals")
+    return BeforeAfter(vectors(angles), vectors(angles if change is None else angles + change.double()))
+
+
+def as_colors(normals: Floats) -> Bytes:
+    """Unit normals [H, W, 3] as an image: n / 2 + 1/2 of each axis, uint8; black where nothing is."""
+    seen = (normals != 0).any(axis=-1, keepdims=True)
+    return np.where(seen, np.rint((normals * 0.5 + 0.5) * 255), 0).astype(np.uint8)
+
+
+def equirectangular(radiance: Floats) -> Floats:
+    """A map [rows, cols, 3] in this project's directions as an equirectangular image; `environment.from_image` inverts.
+
+    The image shows the sphere from inside: its middle column is +x, and columns further right show +z. So that its
+    texels are the map's, each column is repeated four times where the number of columns is no multiple of four.
+    """
+    columns = radiance if radiance.shape[1] % 4 == 0 else np.repeat(radiance, 4, axis=1)
+    return np.ascontiguousarray(np.roll(columns, columns.shape[1] // 4, axis=1)[:, ::-1])
+
+
+def write_exr(radiance: Floats, path: Path, comment: str) -> None:
+    """Writes linear RGB radiance float32 [rows, cols, 3], in this project's directions, with 32 bits a value."""
+    image = np.asarray(equirectangular(radiance), np.float32)
+    head = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, "comments": comment}
+    channels = {name: np.ascontiguousarray(image[..., k]) for k, name in enumerate("RGB")}
+    with OpenEXR.File(head, channels) as file:
+        file.write(str(path))

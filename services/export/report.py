@@ -1,19 +1,153 @@
-"""A page about a job that needs no other file: images, tables, curves and the request, without scripts."""
+"""What an export has to read: a page about the job, and the README of its files.
+
+The page needs no other file: it has images, tables, curves and the request, without scripts. The README names the files
+and their units, what glTF cannot say, what `replay` needs, the credits, and how to cite.
+"""
 
 import json
+import re
 from base64 import b64encode
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from fnmatch import fnmatch
+from importlib.metadata import version
+from importlib.resources import files
 
+import torch
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from pydantic import BaseModel
 
 from services.attacks.trace import TraceRow
-from services.export.files import Files
 from services.export.parameters import ParameterTable
-from services.export.readme import bibtex, sentence
+from services.pipeline.exported_targets import FOLDER, ExportedTarget
 from services.pipeline.names import attack_name, group_words
+from services.pipeline.prepare import lit_by_map
 from services.pipeline.result import Result
+from services.pipeline.spec import JobSpec
+from services.rendering.pyrender_renderer.declaration import PYRENDER
+from services.rendering.pyrender_renderer.renderer import EXPOSURE
+from services.rendering.torch_renderer.light import illumination
+from services.scenes.resolve import ResolvedScene
 from services.text import signed
+
+Files = Mapping[str, Callable[[], bytes]]
+"""The files of a finished job by their names, each read when it is called."""
+
+CONTENTS = {
+    "original.png": "the image of the scene as it was",
+    "attacked.png": "the image of the scene under attack, rendered afresh and rounded to 8 bits",
+    "perturbation.png": "their difference times 5, plus 128",
+    "scene_before.glb": "the scene as it was: geometry, materials, camera, lights",
+    "scene_after.glb": "the scene under attack",
+    "environment_before.exr": "the environment map as it was, as the renderer used it: averaged, turned and exposed",
+    "environment_after.exr": "the environment map under attack",
+    "normals_*.npy": "the normals that the pixels are shaded by, float32 [H, W, 3]; 0 where nothing is",
+    "normals_*.png": "the same as colours: n / 2 + 1/2",
+    "parameters.json": "every attacked parameter: name, unit, value before and after",
+    "perturbation.safetensors": "the change of each attacked group; names, units and axes are in the metadata",
+    "result.json": "the result: answers, measures, tables, provenance",
+    "trace.json": "each step of the attack",
+    "request.json": "the request with every setting, as `scene-attack run` takes it",
+    "render_exported.py": "draws a `.glb` of this folder with trimesh and pyrender alone",
+    "mesh.vert": "its vertex shader",
+    "mesh.frag": "its fragment shader: the shading model in one file",
+    "assets/furniture/*": "a model of the furniture library, as a library of its own; Sweet Home 3D opens it too",
+    "assets/environments/*": "the environment map of the request",
+    "assets/uploads/*.json": "what was said of an upload: its title, licence and credit, and which way is up",
+    "assets/uploads/*": "the files of an upload, as they were sent",
+    "targets/*.json": "a network of the job: its card, and the SHA-256 of its weights",
+    "targets/*": "the card of a user's own network, and its labels",
+    "report.html": "images, tables and curves on one page, which needs no other file",
+    "subset-*.png": "the image with only some of the changed groups: the row of that number, from 0, of `subsets` in "
+    "`result.json`",
+    "normals-tilt.png": "the angle by which each normal turned, from 0 (violet) to the largest (yellow)",
+    "map-before.png": "the intensities of the environment map as it was",
+    "map-after.png": "the same under attack, in the same scale",
+    "map-ratio.png": "the second divided by the first: red is brighter, blue is darker",
+    "attention-*-before.png": "what a function of a question's program attends to in the original image",
+    "attention-*-after.png": "the same in the attacked image",
+    "attention.safetensors": "the masks of these functions, float32 in [0,1]",
+}
+"""What files are, by name or pattern; the first that fits."""
+
+
+def escaped(text: str) -> str:
+    """A text that people wrote, for Markdown that shows it as it is: no markup, and no HTML."""
+    return re.sub(r"([\\`*_{}\[\]<>#|~!&$])", r"\\\1", text)
+
+
+_readme_templates = Environment(
+    loader=PackageLoader(__package__), undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, autoescape=False
+)
+_readme_templates.filters["escaped"] = escaped
+
+
+def readme(
+    result: Result,
+    name: str,
+    spec: JobSpec,
+    scene: ResolvedScene,
+    paths: Sequence[str],
+    targets: Sequence[ExportedTarget],
+    job: str | None,
+) -> str:
+    """The text, in Markdown. `name` is that of the scene or question, `paths` are those of the other files, and
+    `targets` are the job's networks."""
+    mapped = lit_by_map(spec)
+    return _readme_templates.get_template("README.md").render(
+        name=name,
+        attack=attack_name(result.spec),
+        target=spec.target.name,
+        job=job,
+        sentence=sentence(result),
+        files=[(path, content(path)) for path in dict.fromkeys(map(_listed, paths))],
+        missing=[missing for one in targets if (missing := one.missing(FOLDER)) is not None],
+        written_by=result.provenance.versions.get("scene-attack", version("scene-attack")),
+        lengths=_lengths(scene),
+        same_scene=spec.attack.renderer != PYRENDER.name,
+        why_same="the attack changes pixels" if not mapped else "see below",
+        lit_by_map=mapped,
+        exposure=illumination(torch.as_tensor(scene.environment)).exposure if mapped else EXPOSURE,
+        viewer="a distant viewer, the same for all pixels"
+        if scene.description.camera.viewer == "distant"
+        else "each pixel's own viewer direction",
+        shadows=scene.description.shadows is not None,
+        credits=result.provenance.credits,
+        bibtex=bibtex(),
+    )
+
+
+def sentence(result: Result) -> str:
+    """What came of the attack."""
+    before, after = result.original, result.attacked
+    said = f"The network said “{before.label}” ({before.confidence:.1%}) of the scene as it was, and says "
+    said += f"“{after.label}” ({after.confidence:.1%}) of the scene under attack"
+    return f"{said}: {result.outcome}{', verified' if result.verified else ', not verified'}."
+
+
+def _listed(path: str) -> str:
+    """The path of a file, or of the folder of an upload or a network, whose files may have any names."""
+    folder = re.match(r"(assets/uploads|targets)/[^/]+/", path)
+    return path if folder is None else folder[0]
+
+
+def content(name: str) -> str:
+    """What a file of the bundle is."""
+    return next((words for pattern, words in CONTENTS.items() if fnmatch(name, pattern)), "a file of the job")
+
+
+def bibtex() -> str:
+    """The paper and the software, as BibTeX."""
+    text = files("services.export").joinpath("citation.bib").read_text("utf-8")
+    return text.replace("VERSION", version("scene-attack")).strip()
+
+
+def _lengths(scene: ResolvedScene) -> list[str]:
+    return [
+        f"A scene unit on object {index} is {mesh.centimetres / placed.scale:.4g} cm of the real `{placed.mesh}`."
+        for index, (mesh, placed) in enumerate(zip(scene.meshes, scene.description.objects, strict=True))
+        if mesh.centimetres is not None
+    ]
+
 
 WIDTH, HEIGHT = 420, 160
 """Size of a curve's box, SVG units."""

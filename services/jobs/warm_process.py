@@ -12,9 +12,8 @@ from typing import Any
 from services.analysis.images import png
 from services.errors import InvalidRequest, JobFailure, out_of_memory
 from services.export import ASSET, BUNDLE
-from services.export.asset_glb import asset_glb
-from services.export.bundle import read_finished, write_bundle
-from services.export.destinations import zipped
+from services.export.bundle import read_finished, write_bundle, zipped
+from services.export.glb import asset_glb
 from services.jobs.child import OUT_OF_MEMORY, connect, reply, requests
 from services.jobs.cpu_share import CHECKING, give_way
 from services.jobs.files import ArtifactStore, Damaged

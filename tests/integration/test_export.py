@@ -16,8 +16,7 @@ from PIL import Image
 from safetensors import safe_open
 
 from services.accuracy.stability.objects import file_of, square_arrays
-from services.export.bundle import write_bundle
-from services.export.destinations import into_folder
+from services.export.bundle import into_folder, write_bundle
 from services.pipeline.execute import execute
 from services.pipeline.spec import parse
 from services.scenes import environment

@@ -20,8 +20,7 @@ from markdown_it.token import Token
 from PIL import Image
 from safetensors.torch import save_file
 
-from services.export.bundle import write_bundle
-from services.export.destinations import into_folder
+from services.export.bundle import into_folder, write_bundle
 from services.pipeline.execute import execute
 from services.pipeline.spec import parse
 from services.scenes.bundle import About, Bundle

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from services.errors import InvalidRequest
-from services.export.asset_glb import asset_glb
+from services.export.glb import asset_glb
 from services.scenes.library import Library
 from tests.unit.export.test_scene_glb import head_of, loaded
 

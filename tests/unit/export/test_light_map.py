@@ -4,7 +4,7 @@ import numpy as np
 import OpenEXR
 import pytest
 
-from services.export.light_map import equirectangular, write_exr
+from services.export.parameters import equirectangular, write_exr
 from services.scenes.environment import average, from_image, read_exr
 
 

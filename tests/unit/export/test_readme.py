@@ -1,6 +1,6 @@
 """The table of files in the README of an export."""
 
-from services.export.readme import content
+from services.export.report import content
 from services.pipeline.question_record import ATTENTION
 from services.pipeline.result import subset_image
 

@@ -13,8 +13,7 @@ import torch
 import trimesh
 from PIL import Image
 
-from services.export.gltf_material import COAT, GLTF_SMITH
-from services.export.scene_glb import scene_glb
+from services.export.glb import COAT, GLTF_SMITH, scene_glb
 from services.export.scene_values import scene_values
 from services.scenes.description import Background, DirectionalLight, Lights, PointLight, SceneObject, SpotLight
 from services.scenes.mesh import Mesh
