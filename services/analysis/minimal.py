@@ -7,9 +7,8 @@ boundary of the first scanned scale that fools is bisected. What lies between tw
 
 from collections.abc import Callable, Sequence
 
-from services.analysis.answers import answer
 from services.analysis.attribution import Tick
-from services.analysis.perceptibility import of_float_images, of_images
+from services.analysis.images import answer, of_float_images, of_images
 from services.analysis.records import MinimalChange, RayPoint
 from services.analysis.subsets import ScoredImage, scored
 from services.attacks.goal import ResolvedGoal

@@ -2,21 +2,92 @@
 
 The paper finds that image-space adversaries cannot be explained by physical parameters, so that the rendering of the
 best fit has the original label again (section 4.1.1). Who defends this way knows the scene: its meshes, camera, and the
-light and materials from which the fit starts.
+light and materials from which the fit starts. A fit (`fitted`) is the smallest ℓ1 distance that gradient descent from
+the scene's values finds; of the torch renderer it has normals, illumination and material.
+
+`attack_through` is an attack by somebody who knows the defence: the pixels of an image are attacked so that the
+*rendering of the scene fitted to them* is misclassified. A fit has no useful derivative, so the gradient at the
+rendering is passed on to the pixels as it is: backward pass differentiable approximation (BPDA; Athalye, Carlini and
+Wagner 2018), with the identity for the defence. That is what a defence is worth: one that only hides the gradient falls
+to it.
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from itertools import product
+from typing import Literal
 
+import torch
 from torch import Tensor
 
-from services.analysis.fitting import Fit, Optimiser, fit
-from services.analysis.perceptibility import of_images
-from services.analysis.records import Explanation, Interpretation, Rerendering, Said
+from services.analysis.attribution import Tick
+from services.analysis.images import of_images
+from services.analysis.records import AdaptiveAttack, Explanation, Interpretation, Rerendering, Said
+from services.analysis.requests import RerenderingRequest
+from services.attacks.goal import ResolvedGoal
+from services.attacks.problem import check_graph
 from services.attacks.run import Verifier
-from services.rendering.color import from_bytes
+from services.device import finite
+from services.errors import JobFailure
+from services.rendering.color import from_bytes, to_bytes
+from services.rendering.protocol import Parameters, Renderer
 from services.targets.scores import probability
+
+Optimiser = Literal["sgd", "adam"]
+
+
+@dataclass(frozen=True)
+class Fit:
+    """The best of the fits that the optimiser went through."""
+
+    perturbation: Parameters
+    """The change from the scene's values that leads to it, by group."""
+    losses: list[float]
+    """Mean absolute difference of a displayed value at the start and after each step, [0,1]."""
+
+
+def fit(
+    renderer: Renderer, image: Tensor, optimiser: Optimiser, rate: float, steps: int, tick: Callable[[int], None]
+) -> Fit:
+    """Minimises ‖image − render(X₀ + ΔX)‖₁ over ΔX, from 0, by steps of one learning rate for all groups.
+
+    ΔX has the groups for which the renderer is compiled. `image` is [H, W, 3] in [0,1], of the renderer's size. The
+    norm is the sum over values, as in the paper; the units of the groups are those of the renderer. After each step the
+    parameters are clamped to the renderer's bounds.
+    `tick` is called before each image with the number of those rendered. Raises JobFailure("non-finite") if the
+    distance or a gradient is not finite.
+    """
+    initial, bounds = renderer.initial(), renderer.bounds()
+    start = {group: initial[group] for group in renderer.plan.groups}
+    moved = {group: torch.zeros_like(value).requires_grad_() for group, value in start.items()}
+    kind = torch.optim.SGD if optimiser == "sgd" else torch.optim.Adam
+    stepper = kind(moved.values(), lr=rate)
+    wanted, losses = image.to(torch.float64), list[float]()
+    best: Parameters = {}
+    for step in range(steps + 1):
+        tick(step)
+        with torch.set_grad_enabled(step < steps):
+            [shown] = renderer.render({group: (start[group] + moved[group])[None] for group in moved})
+            distance = (shown.double() - wanted.to(shown.device)).abs().sum()
+        losses.append(float(distance.detach()) / image.numel())
+        if not finite(distance):
+            raise JobFailure("non-finite", "the distance of a fit is not finite")
+        if losses[-1] == min(losses):
+            best = {group: value.detach().clone() for group, value in moved.items()}
+        if step == steps:
+            break
+        stepper.zero_grad()
+        distance.backward()
+        if not all(value.grad is None or finite(value.grad) for value in moved.values()):
+            raise JobFailure("non-finite", "the gradient of a fit has values that are not finite")
+        stepper.step()
+        with torch.no_grad():
+            for group, value in moved.items():
+                low, high = bounds[group]
+                value.clamp_(low - start[group], high - start[group])
+    return Fit(best, losses)
+
 
 RATES = (1e-3, 1e-4, 1e-5)
 OPTIMISERS: tuple[Optimiser, ...] = ("sgd", "adam")
@@ -88,3 +159,48 @@ def fitted(
     best = fit(verifier.renderer, from_bytes(image), optimiser, rate, steps, tick)
     tick(steps + 1)
     return best, verifier.image(best.perturbation)
+
+
+RATE = 0.002
+"""Step of each pixel value, that of the paper's attack on pixels."""
+LIMIT = 18 / 255
+"""Largest change of a pixel value from the original, the paper's U."""
+
+
+def attack_through(
+    verifier: Verifier, goal: ResolvedGoal, original: Tensor, *, fit: RerenderingRequest, steps: int, tick: Tick
+) -> AdaptiveAttack:
+    """Attacks an image, uint8 [H, W, 3], by signed gradient steps with momentum 0.9, until the goal is met.
+
+    At each step the image is rounded to 8 bits, the scene is fitted to it as `fit` says, and the network classifies the
+    fit's exact rendering. `tick` is called before each image that is rendered. The target must be differentiable.
+    """
+    start = from_bytes(original)
+    moved, velocity = start.clone(), torch.zeros_like(start)
+    each, trace = fit.steps + 2, list[float]()
+    for step in range(steps + 1):
+        saved = to_bytes(moved)
+
+        def count(done: int, before: int = step * each) -> None:
+            tick(before + done, (steps + 1) * each)
+
+        _, rendered = fitted(verifier, saved, fit.optimiser, fit.rate, fit.steps, count)
+        shown = from_bytes(rendered)[None].requires_grad_()
+        logits = verifier.target.logits(shown)
+        verifier.queries += 1
+        check_graph(verifier.renderer, verifier.target, shown, logits)
+        trace.append(float(goal.probability(logits.detach()[0])))
+        met = bool(goal.fooled(logits.detach()[0]))
+        if met or step == steps:
+            break
+        [gradient] = torch.autograd.grad(goal.objective(logits).sum(), shown)
+        velocity = 0.9 * velocity + gradient[0].sign()
+        moved = (moved - RATE * velocity).clamp(start - LIMIT, start + LIMIT).clamp(0, 1)
+    return AdaptiveAttack(
+        fooled=met,
+        steps=step,
+        goal_probability=trace,
+        image=said(verifier.logits(saved), verifier.target.labels),
+        rerendered=said(logits.detach()[0], verifier.target.labels),
+        perceptibility=of_images(original, saved),
+    )

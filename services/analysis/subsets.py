@@ -8,8 +8,7 @@ from typing import NamedTuple
 
 from torch import Tensor
 
-from services.analysis.answers import answer, goal_log_odds
-from services.analysis.perceptibility import of_float_images, of_images
+from services.analysis.images import answer, goal_log_odds, of_float_images, of_images
 from services.analysis.records import Subset
 from services.attacks.goal import ResolvedGoal
 from services.attacks.run import Verifier

@@ -5,13 +5,12 @@ from dataclasses import dataclass, replace
 
 from torch import Tensor
 
-from services.analysis.adaptive import attack_through
 from services.analysis.attribution import Tick, of_coordinates
 from services.analysis.minimal import minimal_change
 from services.analysis.physical import physical_changes
 from services.analysis.records import Analyses, Rerendering, Transferred
 from services.analysis.requests import AnalysisRequest, RerenderingRequest
-from services.analysis.rerendering import interpret, rerender
+from services.analysis.rerendering import attack_through, interpret, rerender
 from services.analysis.subsets import ScoredImage
 from services.analysis.transfer import Wanted, indices, shown_to
 from services.attacks.run import Verifier

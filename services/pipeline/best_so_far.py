@@ -4,8 +4,7 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from services.analysis.answers import answer
-from services.analysis.perceptibility import of_float_images, of_images
+from services.analysis.images import answer, of_float_images, of_images
 from services.analysis.physical import changes_in_words
 from services.analysis.records import Answer
 from services.attacks import run

@@ -10,10 +10,9 @@ from pydantic import BaseModel
 from torch import Tensor
 
 from services.analysis import images
-from services.analysis.answers import answer
 from services.analysis.attribution import of_subsets
 from services.analysis.expectation import held_over
-from services.analysis.perceptibility import beyond, of_float_images, of_groups, of_images
+from services.analysis.images import answer, beyond, of_float_images, of_groups, of_images
 from services.analysis.physical import changes_in_words
 from services.analysis.subsets import ScoredImage, subsets
 from services.attacks.attack import ATTACKS

@@ -11,7 +11,7 @@ from typing import Protocol
 
 from torch import Tensor
 
-from services.analysis.answers import answer
+from services.analysis.images import answer
 from services.analysis.subsets import ScoredImage
 from services.analysis.transfer import indices
 from services.attacks.attack import MAX_LABELS, Goal

@@ -12,7 +12,7 @@ import torch
 from safetensors.torch import save_file
 from torch import Tensor
 
-from services.analysis.answers import answer as answer_to
+from services.analysis.images import answer as answer_to
 from services.analysis.images import save_png
 from services.analysis.subsets import ScoredImage
 from services.attacks.attack import Goal

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from pydantic import BaseModel
 
-from services.analysis.answers import answer
+from services.analysis.images import answer
 from services.analysis.records import Answer
 from services.analysis.requests import AnalysisRequest
 from services.errors import InvalidRequest

@@ -66,7 +66,7 @@ MUTANTS = {
         test_zoo.test_half_steps_are_measured_away_from_the_start,
     ),
     "the adaptive attack without U": Mutant(
-        "services.analysis.adaptive:attack_through",
+        "services.analysis.rerendering:attack_through",
         ".clamp(start - LIMIT, start + LIMIT)",
         "",
         test_adaptive.test_an_attack_of_many_steps_ends_at_the_limit,

@@ -3,8 +3,8 @@
 import pytest
 import torch
 
-from services.analysis.adaptive import LIMIT, attack_through
 from services.analysis.requests import RerenderingRequest
+from services.analysis.rerendering import LIMIT, attack_through
 from services.attacks.goal import ResolvedGoal
 from services.attacks.run import Verifier
 from tests.unit.attacks.small import FreeRenderer, LinearRenderer, LinearTarget

@@ -3,7 +3,7 @@ import math
 import pytest
 import torch
 
-from services.analysis.perceptibility import FULL_RANGE, beyond, of_float_images, of_groups, of_images, perceptibility
+from services.analysis.images import FULL_RANGE, beyond, of_float_images, of_groups, of_images, perceptibility
 from services.rendering.color import to_bytes
 
 

@@ -6,7 +6,7 @@ from itertools import permutations
 import pytest
 import torch
 
-from services.analysis import shapley
+from services.analysis import attribution
 
 Game = list[Fraction]
 """v(S) for every set S, as the bits of its index say."""
@@ -46,7 +46,7 @@ def as_table(*games: Game) -> torch.Tensor:
 @pytest.mark.parametrize("n", [1, 2, 3, 5])
 def test_values_and_interactions_are_means_over_all_orders(n: int) -> None:
     games = [random_game(n, seed) for seed in (1, 2)]
-    values, interactions = shapley.exact(as_table(*games))
+    values, interactions = attribution.exact(as_table(*games))
     for q, game in enumerate(games):
         assert values[:, q].tolist() == pytest.approx([float(v) for v in by_orders(game, n)], abs=1e-12)
         for i in range(n):
@@ -60,7 +60,7 @@ def test_values_and_interactions_are_means_over_all_orders(n: int) -> None:
 
 def test_twelve_players_sum_to_the_effect() -> None:
     table = 10 * torch.randn(2**12, 2, generator=torch.Generator().manual_seed(3), dtype=torch.float64)
-    values, _ = shapley.exact(table)
+    values, _ = attribution.exact(table)
     assert values.sum(dim=0).tolist() == pytest.approx((table[-1] - table[0]).tolist(), abs=1e-9)
 
 
@@ -72,7 +72,7 @@ def test_what_was_built_in_is_what_is_found() -> None:
         has = [bool(chosen >> i & 1) for i in range(4)]
         table[chosen] = 7.0 + sum(a for a, there in zip(alone, has, strict=True) if there)
         table[chosen] += sum(b for (i, j), b in pairs.items() if has[i] and has[j])
-    values, interactions = shapley.exact(table)
+    values, interactions = attribution.exact(table)
     assert values[:, 0].tolist() == pytest.approx([0.5 + 1.5, -2 + 1.5 - 0.25, 0.25, 4 - 0.25], abs=1e-13)
     expected = torch.zeros(4, 4, dtype=torch.float64)
     for (i, j), b in pairs.items():
@@ -81,24 +81,24 @@ def test_what_was_built_in_is_what_is_found() -> None:
 
 
 def test_no_player_at_all() -> None:
-    values, interactions = shapley.exact(torch.tensor([[3.0, 4.0]], dtype=torch.float64))
+    values, interactions = attribution.exact(torch.tensor([[3.0, 4.0]], dtype=torch.float64))
     assert values.shape == (0, 2)
     assert interactions.shape == (0, 0, 2)
 
 
 def test_a_table_of_another_length_is_refused() -> None:
     with pytest.raises(ValueError, match="3 values"):
-        shapley.exact(torch.zeros(3, 1, dtype=torch.float64))
+        attribution.exact(torch.zeros(3, 1, dtype=torch.float64))
 
 
 def test_sampled_values_are_as_far_off_as_their_standard_errors_say() -> None:
     """z-scores of 40 independent estimates of 5 values: their mean square is 1 up to what 200 values allow."""
     n = 5
     table = as_table(random_game(n, 4))
-    exact, _ = shapley.exact(table)
+    exact, _ = attribution.exact(table)
     squares = []
     for seed in range(40):
-        values, errors = shapley.sampled(lambda s: table[s], n, 200, torch.Generator().manual_seed(seed))
+        values, errors = attribution.sampled(lambda s: table[s], n, 200, torch.Generator().manual_seed(seed))
         assert float(values.sum()) == pytest.approx(float(table[-1] - table[0]), abs=1e-9)
         squares.append(((values - exact) / errors).square())
     # The values of one estimate are dependent; 40 estimates of mean square 1 have a standard error below 0.25.
@@ -107,7 +107,7 @@ def test_sampled_values_are_as_far_off_as_their_standard_errors_say() -> None:
 
 def test_the_standard_error_is_that_of_the_mean_over_orders() -> None:
     table = as_table(random_game(4, 5))
-    values, errors = shapley.sampled(lambda s: table[s], 4, 7, torch.Generator().manual_seed(0))
+    values, errors = attribution.sampled(lambda s: table[s], 4, 7, torch.Generator().manual_seed(0))
     random, gains = torch.Generator().manual_seed(0), []
     for _ in range(7):
         here, gain = 0, torch.zeros(4, dtype=torch.float64)
@@ -121,7 +121,7 @@ def test_the_standard_error_is_that_of_the_mean_over_orders() -> None:
 
 
 def test_an_additive_game_has_no_standard_error() -> None:
-    values, errors = shapley.sampled(
+    values, errors = attribution.sampled(
         lambda s: torch.tensor([float(s)], dtype=torch.float64), 6, 3, torch.Generator().manual_seed(0)
     )
     assert values[:, 0].tolist() == [1, 2, 4, 8, 16, 32]
@@ -135,7 +135,7 @@ def test_no_set_is_asked_for_twice_and_one_order_is_too_few() -> None:
         asked.append(chosen)
         return torch.zeros(1, dtype=torch.float64)
 
-    shapley.sampled(value, 3, 50, torch.Generator().manual_seed(0))
+    attribution.sampled(value, 3, 50, torch.Generator().manual_seed(0))
     assert sorted(asked) == list(range(8))
     with pytest.raises(ValueError, match="two orders"):
-        shapley.sampled(value, 3, 1, torch.Generator().manual_seed(0))
+        attribution.sampled(value, 3, 1, torch.Generator().manual_seed(0))

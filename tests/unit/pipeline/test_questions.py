@@ -10,7 +10,7 @@ import torch
 from PIL import Image
 from safetensors.torch import load_file
 
-from services.analysis.answers import answer as network_answer
+from services.analysis.images import answer as network_answer
 from services.errors import InvalidRequest
 from services.pipeline.execute import execute
 from services.pipeline.prepare import preflight, prepare_exactly
