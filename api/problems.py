@@ -27,8 +27,7 @@ from services.jobs.outages import outage_of
 from services.logs import logger
 from services.pipeline.campaign_spec import CampaignSpec
 from services.pipeline.campaign_spec import named as campaign_fields
-from services.pipeline.error_words import in_words
-from services.pipeline.field_errors import invalid_fields
+from services.pipeline.field_errors import in_words, invalid_fields
 from services.pipeline.spec import JobSpec, named
 from services.strict import Strict, json_mistake
 

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from pydantic import ValidationError
 
 from services.errors import InvalidFields, InvalidRequest
-from services.pipeline.error_words import in_words
+from services.pipeline.field_errors import in_words
 from services.settings import Settings
 from services.text import did_you_mean
 

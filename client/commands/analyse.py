@@ -115,7 +115,7 @@ def rerender(
     from client.tables import rerendering_table
     from services.analysis.requests import RerenderingRequest
     from services.errors import InvalidFields, InvalidRequest
-    from services.pipeline.error_words import in_words
+    from services.pipeline.field_errors import in_words
 
     settings = settings_to_run()
     job = read_job(spec, settings)

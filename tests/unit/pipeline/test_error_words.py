@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 import pytest
 from pydantic import Field, TypeAdapter, ValidationError
 
-from services.pipeline.error_words import in_words, looks_like_degrees
+from services.pipeline.field_errors import in_words, looks_like_degrees
 
 
 class Colour(StrEnum):
