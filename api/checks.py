@@ -21,8 +21,8 @@ from services.pipeline.campaign_spec import CampaignSpec
 from services.pipeline.checked import Checked
 from services.pipeline.names_known import check_names
 from services.pipeline.preview_record import PlannedCost, Preview
+from services.pipeline.result import JobWarning
 from services.pipeline.spec import JobSpec, digest
-from services.pipeline.warning import JobWarning
 from services.settings import Settings
 
 WAITING_SHARE = 0.1

@@ -16,13 +16,10 @@ from services.jobs.placement import Priority
 from services.jobs.states import CampaignState, JobKind, State, times_of
 from services.pipeline.campaign_plan import ChosenView
 from services.pipeline.campaign_spec import CampaignSpec
-from services.pipeline.job_plan import JobPlan
-from services.pipeline.outcome import Outcome
-from services.pipeline.preview_record import Cost, Preview
+from services.pipeline.preview_record import Cost, JobPlan, Preview
 from services.pipeline.rerendering_spec import RerenderingSpec, RerenderingView
-from services.pipeline.result import Result
+from services.pipeline.result import JobWarning, Outcome, Result
 from services.pipeline.spec import JobSpec, TargetChoice
-from services.pipeline.warning import JobWarning
 from services.scenes.description import Model, Scene
 from services.scenes.library import Entry
 from services.strict import Strict

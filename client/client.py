@@ -40,9 +40,8 @@ if TYPE_CHECKING:
     from services.analysis.records import Subset
     from services.attacks.trace import TraceRow
     from services.pipeline.campaign_spec import CampaignSpec
-    from services.pipeline.outcome import Outcome
     from services.pipeline.rerendering_spec import RerenderingSpec
-    from services.pipeline.result import Result
+    from services.pipeline.result import Outcome, Result
     from services.pipeline.spec import JobSpec
 
 DEFAULT_URL = "http://127.0.0.1:8008"

@@ -18,9 +18,8 @@ from services.analysis.records import (
     Transferred,
 )
 from services.attacks.verdict import SUCCESS, WRONG_BEFORE, Verdict, held_within
-from services.pipeline.outcome import Outcome
 from services.pipeline.question_record import Asked, QuestionResult, first_changed
-from services.pipeline.warning import JobWarning
+from services.pipeline.result import JobWarning, Outcome
 from services.questions.program import TYPE_WORDS, Program
 from services.text import signed
 

@@ -31,12 +31,10 @@ from services.logs import bound, configure, logger
 from services.pipeline.campaign_plan import View
 from services.pipeline.campaign_run import first_answers
 from services.pipeline.execute import Progress, execute
-from services.pipeline.outcome import outcome
 from services.pipeline.rerender import decode_image, rerender_image
 from services.pipeline.rerendering_spec import IMAGE, RENDERING, RerenderingSpec, RerenderingView
-from services.pipeline.result import Result
+from services.pipeline.result import JobWarning, Result, outcome
 from services.pipeline.spec import JobSpec, digest, parse
-from services.pipeline.warning import JobWarning
 from services.scenes.library import Library
 from services.settings import Settings
 from services.targets.info import TARGETS

@@ -12,8 +12,7 @@ if TYPE_CHECKING:
 
     from client.progress import JobLine
     from services.pipeline.execute import Progress
-    from services.pipeline.job_plan import JobPlan
-    from services.pipeline.preview_record import PlannedCost, Preview
+    from services.pipeline.preview_record import JobPlan, PlannedCost, Preview
     from services.pipeline.result import Result
     from services.pipeline.spec import JobSpec
     from services.scenes.library import Library
@@ -71,7 +70,7 @@ def run(
     if as_json:
         print_json(result.model_dump(mode="json"))
         return
-    from services.pipeline.outcome import Outcome, outcome
+    from services.pipeline.result import Outcome, outcome
 
     found = Outcome.model_validate(outcome(result))
     stdout().print(table(COLUMNS, [cells(name, attack, found)]))

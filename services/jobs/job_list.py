@@ -179,7 +179,7 @@ def listed(spec: Mapping[str, Any], titles: Mapping[str, str] | None = None) -> 
 
 
 def listed_outcome(outcome: Mapping[str, Any]) -> dict[str, Any]:
-    """The columns of an outcome (services.pipeline.outcome) that lists sort and filter by; p is the paper's."""
+    """The columns of an outcome (services.pipeline.result) that lists sort and filter by; p is the paper's."""
     return {
         "verdict": outcome["outcome"],
         "verified": outcome["outcome"] == SUCCESS and outcome["verified"],

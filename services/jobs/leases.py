@@ -21,7 +21,7 @@ from services.jobs.database import Database, now
 from services.jobs.job_list import listed, listed_outcome
 from services.jobs.models import Artifact, Event, Job, State, not_paused
 from services.jobs.uploads import titles, uploads_of
-from services.pipeline.warning import JobWarning
+from services.pipeline.result import JobWarning
 
 ACTIVE = (State.RUNNING, State.CANCELLING)
 PHASES = ("loading", "selecting", "attacking", "analysing")

@@ -167,7 +167,7 @@ class Job(Base):
     errors: Mapped[list[dict[str, Any]] | None]
     """The invalid fields of a rejected job, each as {"field", "detail"}."""
     warnings: Mapped[list[Any]]
-    """What the sender was warned of (services.pipeline.warning.JobWarning)."""
+    """What the sender was warned of (services.pipeline.result.JobWarning)."""
     phase: Mapped[str | None] = mapped_column(String(32))
     step: Mapped[int | None]
     steps: Mapped[int | None]
@@ -178,7 +178,7 @@ class Job(Base):
     queries_done: Mapped[int] = mapped_column(BigInteger, default=0, server_default="0")
     """Images that the target classified until then."""
     outcome: Mapped[dict[str, Any] | None]
-    """The part of the result that lists show (services.pipeline.outcome)."""
+    """The part of the result that lists show (services.pipeline.result)."""
     result: Mapped[dict[str, Any] | None] = mapped_column(deferred=True)
     failure_kind: Mapped[str | None] = mapped_column(String(64))
     failure_detail: Mapped[str | None] = mapped_column(Text)

@@ -17,8 +17,7 @@ from PIL import Image
 from services import disk
 from services.errors import InvalidRequest
 from services.pipeline.names import attack_name, scene_name
-from services.pipeline.outcome import success
-from services.pipeline.result import Result
+from services.pipeline.result import Result, success
 
 FORMAT = 1
 

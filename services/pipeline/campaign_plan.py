@@ -27,8 +27,7 @@ from services.analysis.campaign_text import to_csv, to_latex
 from services.attacks.attack import AttackSettings
 from services.pipeline.campaign_spec import CampaignSpec, Grid, Member, Selection
 from services.pipeline.names import attack_name, scene_name
-from services.pipeline.outcome import success
-from services.pipeline.result import Provenance, Result
+from services.pipeline.result import Provenance, Result, success
 from services.pipeline.spec import JobSpec, TargetChoice, digest
 from services.questions.generator import QuestionRecord
 from services.rendering.declaration import IMAGE_OF

@@ -28,7 +28,7 @@ from services.attacks.attack import AttackSettings, Goal, Seed
 from services.errors import InvalidFields, InvalidRequest
 from services.names import Names, reference
 from services.pipeline.field_errors import invalid_fields
-from services.pipeline.question_request import MOST_TOGETHER
+from services.pipeline.question_record import MOST_TOGETHER
 from services.pipeline.spec import AnyAttack, AnyTolerance, JobSpec, TargetChoice, check_labels, with_method
 from services.questions.generator import QuestionGenerator, QuestionRecord
 from services.questions.templates.families import FAMILIES, Kind

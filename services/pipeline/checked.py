@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
+from services.pipeline.result import JobWarning
 from services.pipeline.spec import JobSpec
-from services.pipeline.warning import JobWarning
 
 
 @dataclass(frozen=True)

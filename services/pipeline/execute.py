@@ -28,9 +28,8 @@ from services.pipeline.change_files import save_change
 from services.pipeline.extensions import loaded_extensions
 from services.pipeline.leaving_out import LeavingOut, leaving_out
 from services.pipeline.prepare import Prepared, lit_by_map, prepare
-from services.pipeline.result import AtEpsilon, Provenance, Result, subset_image
+from services.pipeline.result import AtEpsilon, JobWarning, Provenance, Result, subset_image
 from services.pipeline.spec import JobSpec
-from services.pipeline.warning import JobWarning
 from services.process import versions
 from services.rendering.color import to_bytes
 from services.rendering.plan import Plan

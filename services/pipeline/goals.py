@@ -22,7 +22,7 @@ from services.errors import InvalidRequest
 from services.pipeline.goal_labels import AskedGoal, asked, with_same
 from services.pipeline.preview_record import FirstAnswer
 from services.pipeline.question_record import Asked, QuestionResult
-from services.pipeline.warning import JobWarning, warnings
+from services.pipeline.result import JobWarning, warnings
 from services.rendering.plan import Plan
 from services.rendering.protocol import Parameters
 from services.targets import registry

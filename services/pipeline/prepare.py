@@ -18,12 +18,12 @@ from services.pipeline.analysis_fields import check_analysis, load_targets
 from services.pipeline.checked import Checked
 from services.pipeline.expectations import check_range, moving_groups, with_cost
 from services.pipeline.goals import PlannedConstraint, Settled, Task
-from services.pipeline.job_plan import JobPlan
+from services.pipeline.preview_record import JobPlan
 from services.pipeline.questions import task_of
 from services.pipeline.recall import recall
+from services.pipeline.result import JobWarning
 from services.pipeline.spec import JobSpec
 from services.pipeline.surrogates import check_surrogate, surrogate
-from services.pipeline.warning import JobWarning
 from services.rendering.color import to_bytes
 from services.rendering.factory import build
 from services.rendering.plan import Plan, Tolerance

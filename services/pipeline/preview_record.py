@@ -1,11 +1,24 @@
-"""What a preview of a request shows. It needs no torch, so that the API can import it."""
+"""The plan of a job, as `scene-attack plan` prints it, and the preview of a request. It needs no torch, so that the API
+can import it.
+"""
+
+import operator
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from services.analysis.records import Answer
-from services.pipeline.job_plan import JobPlan
+from services.pipeline.question_record import Asked
+from services.pipeline.result import JobWarning
 from services.pipeline.spec import JobSpec
-from services.pipeline.warning import JobWarning
+from services.rendering.plan import Plan
+
+
+class JobPlan(Plan):
+    """The renderer's plan of a job, with what limits its search, and its questions."""
+
+    questions: tuple[Asked, ...] = Field(
+        (), exclude_if=operator.not_, description="the questions about the image, with their programs"
+    )
 
 
 class _Record(BaseModel):

@@ -22,8 +22,7 @@ from services.errors import InvalidRequest
 from services.pipeline.described import can_carry, described
 from services.pipeline.goals import Classification, Settled, Task
 from services.pipeline.preview_record import FirstAnswer
-from services.pipeline.question_record import ATTENTION, Asked, Attended, QuestionResult
-from services.pipeline.question_request import Call
+from services.pipeline.question_record import ATTENTION, Asked, Attended, Call, QuestionResult
 from services.pipeline.scene_limits import SceneLimits
 from services.pipeline.spec import JobSpec, TargetChoice
 from services.questions.executor import ANSWERS, KINDS, Facts, IllPosed, answer, kind_asked

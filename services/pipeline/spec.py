@@ -31,7 +31,7 @@ from services.errors import InvalidFields, InvalidRequest
 from services.names import Names, reference, unknown_parts
 from services.pipeline.field_errors import invalid_fields
 from services.pipeline.goal_labels import asked as looked_up
-from services.pipeline.question_request import MOST_TOGETHER, Call, Calls, Text, program, with_scene
+from services.pipeline.question_record import MOST_TOGETHER, Call, Calls, Text, program, with_scene
 from services.questions.program import written
 from services.rendering.declaration import RENDERERS
 from services.rendering.plan import DEFAULT_TOLERANCE

@@ -16,10 +16,8 @@ from services.jobs.database import connect, migrate
 from services.jobs.leases import Attempt
 from services.jobs.models import Artifact, Job
 from services.jobs.record import Record
-from services.pipeline.outcome import outcome
-from services.pipeline.result import Result
+from services.pipeline.result import JobWarning, Result, outcome
 from services.pipeline.spec import JobSpec, parse
-from services.pipeline.warning import JobWarning
 from services.rendering.plan import GradientError, Item, Plan, Stage
 from services.settings import Settings
 

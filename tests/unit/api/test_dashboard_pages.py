@@ -10,8 +10,8 @@ from httpx import ASGITransport
 
 from services.errors import InvalidRequest
 from services.jobs.record import Record
+from services.pipeline.result import JobWarning
 from services.pipeline.spec import parse
-from services.pipeline.warning import JobWarning
 from tests.unit.api.dashboard_records import SPEC, add, app, open_record, result, row, start, succeed
 from tests.unit.jobs.records import attacks
 

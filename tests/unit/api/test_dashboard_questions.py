@@ -14,8 +14,7 @@ from api.dashboard.questions import Chain, questions
 from services.jobs.models import Artifact
 from services.jobs.record import Record
 from services.pipeline.execute import execute
-from services.pipeline.outcome import outcome
-from services.pipeline.result import Result
+from services.pipeline.result import Result, outcome
 from services.pipeline.spec import JobSpec, parse
 from services.scenes.clevr.description import describe
 from services.scenes.clevr.generator import generate

@@ -7,8 +7,7 @@ import pytest
 
 from services.jobs.models import Artifact, Job
 from services.jobs.record import Record
-from services.pipeline.outcome import outcome
-from services.pipeline.result import Result
+from services.pipeline.result import Result, outcome
 from services.pipeline.spec import JobSpec, parse
 from tests.unit.api.dashboard_records import SPEC, add, open_record, result, start
 from tests.unit.api.test_dashboard_pages import Tags, get

@@ -3,8 +3,7 @@ from typing import Any
 import pytest
 
 from client.tables import goal_line, outcome_cell, successes, verified, warn
-from services.pipeline.outcome import Outcome
-from services.pipeline.warning import JobWarning
+from services.pipeline.result import JobWarning, Outcome
 from tests.unit.client.scripted_service import SUCCEEDED
 
 

@@ -11,8 +11,7 @@ from services.jobs.models import Campaign, CampaignState, Job, State, not_paused
 from services.jobs.record import Record
 from services.pipeline.campaign_plan import identity, views
 from services.pipeline.campaign_spec import CampaignSpec, parse
-from services.pipeline.outcome import outcome
-from services.pipeline.result import Provenance, Result
+from services.pipeline.result import Provenance, Result, outcome
 from services.pipeline.spec import JobSpec
 from services.pipeline.spec import parse as parse_job
 from tests.unit.api.dashboard_records import result

@@ -6,7 +6,7 @@ from services.jobs.job_list import ListedJob, parse_query
 from services.jobs.leases import Attempt
 from services.jobs.models import Artifact, Job, State
 from services.jobs.record import Record
-from services.pipeline.outcome import Outcome
+from services.pipeline.result import Outcome
 from services.pipeline.spec import JobSpec, parse
 
 SPEC = parse({"scene": {"objects": [{"mesh": "primitive/sphere"}]}, "seed": 7})

@@ -8,8 +8,7 @@ from services.access.assets import OwnedAssets
 from services.jobs.database import Database
 from services.jobs.record import Record
 from services.jobs.uploads import AssetRecords, FirstAnswer
-from services.pipeline.outcome import outcome
-from services.pipeline.result import Result
+from services.pipeline.result import Result, outcome
 from services.pipeline.spec import parse
 from tests.unit.api.dashboard_records import SPEC, result
 

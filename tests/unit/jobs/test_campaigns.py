@@ -13,8 +13,7 @@ from services.jobs.jobs import Key, KeyReused
 from services.jobs.models import Campaign, CampaignState, State
 from services.jobs.record import Record
 from services.pipeline.campaign_spec import CampaignSpec
-from services.pipeline.outcome import outcome
-from services.pipeline.result import Result
+from services.pipeline.result import Result, outcome
 from services.pipeline.spec import JobSpec
 from services.pipeline.spec import parse as parse_job
 from tests.unit.jobs.campaign_stage import QUEUED, Stage, spec

@@ -3,7 +3,7 @@
 from services.errors import InvalidRequest
 from services.jobs.models import State
 from services.jobs.record import Record
-from services.pipeline.warning import JobWarning
+from services.pipeline.result import JobWarning
 from tests.unit.jobs.records import SPEC, add, row, start
 
 

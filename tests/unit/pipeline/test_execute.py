@@ -13,9 +13,8 @@ from services.attacks.run import AttackState, run
 from services.attacks.verdict import held_within
 from services.errors import Cancelled
 from services.pipeline.execute import Progress, execute
-from services.pipeline.outcome import outcome
 from services.pipeline.prepare import prepare
-from services.pipeline.result import AtEpsilon, Result
+from services.pipeline.result import AtEpsilon, Result, outcome
 from services.pipeline.spec import parse
 from services.rendering.factory import build
 from services.rendering.pyrender_renderer import planner

@@ -2,8 +2,7 @@
 
 import pytest
 
-from services.pipeline.outcome import Outcome, outcome, success
-from services.pipeline.result import Result
+from services.pipeline.result import Outcome, Result, outcome, success
 from tests.unit.api.dashboard_records import result
 
 

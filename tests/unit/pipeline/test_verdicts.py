@@ -6,9 +6,7 @@ from typing import Any
 import pytest
 
 from services.pipeline.execute import execute
-from services.pipeline.outcome import success
-from services.pipeline.result import Result
-from services.pipeline.warning import JobWarning
+from services.pipeline.result import JobWarning, Result, success
 from tests.unit.jobs.small import LIBRARY, spec
 
 ATTACK = {"renderer": "image", "base_renderer": "pyrender", "steps": 12, "learning_rate": {"image": 0.01}}
