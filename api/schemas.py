@@ -17,9 +17,8 @@ from services.jobs.states import CampaignState, JobKind, State, times_of
 from services.pipeline.campaign_plan import ChosenView
 from services.pipeline.campaign_spec import CampaignSpec
 from services.pipeline.preview_record import Cost, JobPlan, Preview
-from services.pipeline.rerendering_spec import RerenderingSpec, RerenderingView
 from services.pipeline.result import JobWarning, Outcome, Result
-from services.pipeline.spec import JobSpec, TargetChoice
+from services.pipeline.spec import JobSpec, RerenderingSpec, RerenderingView, TargetChoice
 from services.scenes.description import Model, Scene
 from services.scenes.library import Entry
 from services.strict import Strict
@@ -31,7 +30,7 @@ if TYPE_CHECKING:
     from services.jobs.campaigns import Counts, Progress
     from services.jobs.job_list import ListedJob
     from services.jobs.models import Artifact, Campaign, CampaignJob, Job
-    from services.pipeline.target_folders import TargetFolder
+    from services.pipeline.extensions import TargetFolder
 
 
 class BadField(BaseModel):

@@ -22,8 +22,7 @@ from services.logs import logger
 from services.names import Names
 from services.pipeline.checked import Checked
 from services.pipeline.names_known import check_names
-from services.pipeline.rerendering_spec import IMAGE, RerenderingSpec
-from services.pipeline.spec import JobSpec, digest, parse
+from services.pipeline.spec import SENT_IMAGE, JobSpec, RerenderingSpec, digest, parse
 
 log = logger(__name__)
 
@@ -75,7 +74,7 @@ class Submissions:
         request: JobSpec | RerenderingSpec
         if job.kind is JobKind.RERENDERING:
             request = RerenderingSpec.model_validate(job.spec)
-            attack, file = request.attack(), self.record.jobs.artifact(job.id, IMAGE)
+            attack, file = request.attack(), self.record.jobs.artifact(job.id, SENT_IMAGE)
         else:
             request = attack = parse(job.spec)
             file = checkpoint

@@ -30,7 +30,7 @@ from client.operations import Answer, PriorityName, Request, StateName
 from services import disk
 from services.errors import InvalidRequest
 from services.jobs.states import State
-from services.pipeline.rerendering_spec import RerenderingView
+from services.pipeline.spec import RerenderingView
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -40,9 +40,8 @@ if TYPE_CHECKING:
     from services.analysis.records import Subset
     from services.attacks.trace import TraceRow
     from services.pipeline.campaign_spec import CampaignSpec
-    from services.pipeline.rerendering_spec import RerenderingSpec
     from services.pipeline.result import Outcome, Result
-    from services.pipeline.spec import JobSpec
+    from services.pipeline.spec import JobSpec, RerenderingSpec
 
 DEFAULT_URL = "http://127.0.0.1:8008"
 PATIENCE = 30.0

@@ -32,9 +32,8 @@ from services.pipeline.campaign_plan import View
 from services.pipeline.campaign_run import first_answers
 from services.pipeline.execute import Progress, execute
 from services.pipeline.rerender import decode_image, rerender_image
-from services.pipeline.rerendering_spec import IMAGE, RENDERING, RerenderingSpec, RerenderingView
 from services.pipeline.result import JobWarning, Result, outcome
-from services.pipeline.spec import JobSpec, digest, parse
+from services.pipeline.spec import RENDERING, SENT_IMAGE, JobSpec, RerenderingSpec, RerenderingView, digest, parse
 from services.scenes.library import Library
 from services.settings import Settings
 from services.targets.info import TARGETS
@@ -190,7 +189,7 @@ class Jobs:
 
         try:
             reporter.progress(Progress(phase="loading", steps=spec.fit.steps))
-            data = self._kept.given(attempt, IMAGE)
+            data = self._kept.given(attempt, SENT_IMAGE)
             if data is None:
                 raise JobFailure("asset-missing", "the job's image is gone")
             image = decode_image(data, spec.scene.camera.size)

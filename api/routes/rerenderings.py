@@ -20,7 +20,7 @@ from services.errors import InvalidRequest
 from services.jobs.models import Artifact
 from services.pipeline.checked import Checked
 from services.pipeline.names_known import check_names
-from services.pipeline.rerendering_spec import IMAGE, RerenderingSpec
+from services.pipeline.spec import SENT_IMAGE, RerenderingSpec
 
 router = APIRouter(prefix="/v1/rerenderings", tags=["defences"])
 
@@ -97,4 +97,4 @@ def _stored(image: bytes, services: Services) -> Artifact:
         file.write(image)
         file.flush()
         stored = services.store.put(Path(file.name))
-    return Artifact(name=IMAGE, sha256=stored.sha256, media_type="application/octet-stream", size=stored.size)
+    return Artifact(name=SENT_IMAGE, sha256=stored.sha256, media_type="application/octet-stream", size=stored.size)

@@ -23,9 +23,8 @@ from services.jobs.models import Artifact, Campaign, CampaignJob, Event, Idempot
 from services.jobs.placement import NO_DEMAND, Demand, targets_of
 from services.jobs.uploads import check_held, refer_from_job, titles, uploads_of
 from services.pipeline.names_known import check_meshes
-from services.pipeline.rerendering_spec import RerenderingSpec
 from services.pipeline.result import JobWarning
-from services.pipeline.spec import JobSpec, digest
+from services.pipeline.spec import JobSpec, RerenderingSpec, digest
 
 QUEUED_SECONDS = 30.0
 """Time after which an owner with too many queued jobs may try again."""

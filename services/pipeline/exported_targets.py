@@ -12,10 +12,9 @@ from pydantic import BaseModel, Field, ValidationError
 
 from services.errors import InvalidRequest
 from services.extensions import NAME
-from services.pipeline.extensions import loaded_extensions
+from services.pipeline.extensions import CARD, MODEL_FILES, loaded_extensions, register_folder
 from services.pipeline.result import Result
 from services.pipeline.spec import JobSpec
-from services.pipeline.target_folders import CARD, MODEL_FILES, register_folder
 from services.scenes.exported_assets import check_plain
 from services.targets.custom.card import AllowList
 from services.targets.info import TARGETS, TargetInfo

@@ -1,18 +1,52 @@
-"""Loads the operator's extensions and networks into the registries, once in each process."""
+"""Loads the operator's extensions and networks into the registries, once in each process. It needs no torch.
+
+A network that a user brings is a folder in SCENE_ATTACK_TARGETS, registered by its card. A folder with a mistake
+registers nothing; the reason is kept, and the other folders are not affected.
+"""
 
 from dataclasses import dataclass
+from hashlib import sha256
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pydantic import ValidationError
 
 from services.attacks.attack import ATTACKS
 from services.errors import InvalidRequest, printable
-from services.extensions import Extension, load
+from services.extensions import NAME, Extension, load
 from services.logs import logger
-from services.pipeline.target_folders import TargetFolder, register_folders
+from services.pipeline.field_errors import invalid_fields
 from services.process import use
 from services.rendering.declaration import RENDERERS
 from services.settings import Settings
+from services.strict import NotJson, read_json
 from services.targets.architectures import ARCHITECTURES
-from services.targets.custom.card import AllowList
-from services.targets.info import TARGETS
+from services.targets.custom.card import NOTHING, AllowList, Card
+from services.targets.info import TARGETS, UNAVAILABLE, RegisteredTarget, TargetInfo
+from services.targets.labels import imagenet_labels
+from services.text import there_are
+
+if TYPE_CHECKING:
+    import torch
+
+    from services.targets.protocol import Target
+
+CARD = "card.json"
+MODEL_FILES = ("model.pt2", "model.onnx", "model.safetensors")
+MAX_CARD_BYTES = 16 * 2**20
+_PICKLES = (".pt", ".pth", ".bin", ".pkl", ".ckpt")
+
+
+@dataclass(frozen=True)
+class TargetFolder:
+    """A folder of SCENE_ATTACK_TARGETS, as it was found."""
+
+    name: str
+    """The folder's name, in characters that can be printed."""
+    card_sha256: str | None = None
+    error: str | None = None
+    """The reason for which it is no target; None if it is one."""
+
 
 SETTINGS = ("extensions", "targets", "target_factories", "target_endpoints")
 """The settings that say what is loaded."""
@@ -71,3 +105,146 @@ def log_extensions() -> None:
             log.info("target folder registered", target=folder.name, card_sha256=folder.card_sha256)
         else:
             log.warning("target folder left out", target=folder.name, error=folder.error)
+
+
+def register_folders(root: Path | None, allowed: AllowList = NOTHING) -> tuple[TargetFolder, ...]:
+    """Registers a target for each folder in `root`, in alphabetical order. Hidden folders are left out.
+    A card may name the factories and endpoints that are `allowed`.
+
+    The network itself is read when a job first needs it.
+    """
+    if root is None:
+        return ()
+    try:
+        folders = sorted(one for one in root.iterdir() if one.is_dir() and not one.name.startswith("."))
+    except OSError as error:
+        return (TargetFolder(printable(str(root)), error=f"it cannot be read: {error.strerror}"),)
+    return tuple(register_folder(folder, allowed) for folder in folders)
+
+
+def register_folder(folder: Path, allowed: AllowList) -> TargetFolder:
+    """Registers the target in a folder, or finds the reason for which it is none."""
+    name = printable(folder.name)
+    try:
+        if not NAME.fullmatch(folder.name):
+            raise InvalidRequest("name", "use a-z, 0-9, - and _ in a folder's name")
+        if folder.name in TARGETS:
+            raise InvalidRequest("name", "there is a target of this name already; rename the folder")
+        card, digest = read_card(folder)
+        file = _model_file(folder, card, allowed)
+        labels = _labels(folder, card)
+    except InvalidRequest as error:
+        reason = f"{error.field}: {error.detail}"
+        UNAVAILABLE[folder.name] = reason
+        return TargetFolder(name, error=reason)
+    info = TargetInfo(
+        name=folder.name,
+        title=card.title or folder.name,
+        task="classification",
+        input_size=card.preprocessing.input_size,
+        classes=len(labels),
+        differentiable=_differentiable(file, card),
+        takes_question=False,
+        source=card.source,
+        licence=card.licence,
+        vocabulary="imagenet" if card.labels == "imagenet" else "custom",
+        card_sha256=digest,
+    )
+
+    def load(dtype: "torch.dtype") -> "Target":
+        from services.targets.custom import loading
+
+        return loading.load(info.name, file, card, labels, digest, allowed, dtype)
+
+    card_files = [folder / CARD]
+    if isinstance(card.labels, str) and card.labels.endswith(".txt"):
+        card_files.append(folder / card.labels)
+    TARGETS.add(info.name, RegisteredTarget(info, lambda: labels, load, card_files=tuple(card_files), model_file=file))
+    return TargetFolder(name, digest)
+
+
+def read_card(folder: Path) -> tuple[Card, str]:
+    """Returns a folder's card, and the SHA-256 (hex) of its bytes.
+
+    Raises InvalidRequest, whose field is a path such as "card.json: preprocessing.mean.0".
+    """
+    data = _read(folder / CARD, 'add one, such as {"labels": ["cat", "dog"]}; docs/targets.md lists its fields')
+    try:
+        card = Card.model_validate(read_json(data))
+    except ValidationError as error:
+        first, *others = invalid_fields(error.errors(include_url=False), Card.model_json_schema())
+        said = "; ".join([first.detail, *map(str, others)])
+        raise InvalidRequest(f"{CARD}: {first.field}", said) from error
+    except NotJson as error:
+        raise InvalidRequest(CARD, str(error)) from error
+    return card, sha256(data).hexdigest()
+
+
+def _read(path: Path, missing: str) -> bytes:
+    if not path.is_file():
+        raise InvalidRequest(path.name, f"there is no such file; {missing}")
+    try:
+        if path.stat().st_size > MAX_CARD_BYTES:
+            raise InvalidRequest(path.name, f"it is larger than {MAX_CARD_BYTES // 2**20} MiB")
+        return path.read_bytes()
+    except OSError as error:
+        raise InvalidRequest(path.name, f"it cannot be read: {error.strerror}") from error
+
+
+def _model_file(folder: Path, card: Card, allowed: AllowList) -> Path | None:
+    """The file that holds the network; None for a factory or an endpoint. Raises InvalidRequest for none or several."""
+    files = [folder / name for name in MODEL_FILES if (folder / name).is_file()]
+    sources = [file.name for file in files] + [
+        f"{key} of the card" for key, value in (("factory", card.factory), ("endpoint", card.endpoint)) if value
+    ]
+    if len(sources) > 1:
+        raise InvalidRequest("model", f"it has {' and '.join(sources)}; keep one")
+    if not sources:
+        raise InvalidRequest("model", _without(folder))
+    file = files[0] if files else None
+    of_weights = file is not None and file.suffix == ".safetensors"
+    if of_weights and card.architecture not in ARCHITECTURES:
+        said = "is needed" if card.architecture is None else f"there is no {card.architecture!r}"
+        raise InvalidRequest(f"{CARD}: architecture", f"{said}; {there_are(card.architecture or '', ARCHITECTURES)}")
+    if card.architecture is not None and not of_weights:
+        raise InvalidRequest(f"{CARD}: architecture", "is only for model.safetensors; leave it out")
+    for key, named, refusal in (
+        ("factory", card.factory, allowed.factory_refusal),
+        ("endpoint", card.endpoint, allowed.endpoint_refusal),
+    ):
+        reason = None if named is None else refusal(named)
+        if reason is not None:
+            raise InvalidRequest(f"{CARD}: {key}", reason)
+    return file
+
+
+def _without(folder: Path) -> str:
+    there = sorted(one.name for one in folder.iterdir() if one.suffix in _PICKLES)
+    if there:
+        return (
+            f"{printable(there[0])} is a pickle, which can run any code and is never read; save the network as "
+            "model.pt2 by torch.export.save, or its weights as model.safetensors"
+        )
+    return f"it has none of {', '.join(MODEL_FILES)}, and its card has neither factory nor endpoint"
+
+
+def _labels(folder: Path, card: Card) -> tuple[str, ...]:
+    if not isinstance(card.labels, str):
+        return card.labels
+    if card.labels == "imagenet":
+        return imagenet_labels()
+    field = f"{CARD}: labels"
+    if Path(card.labels).name != card.labels or not card.labels.endswith(".txt"):
+        raise InvalidRequest(field, 'must be a list, "imagenet", or the name of a .txt file in the folder')
+    try:
+        lines = _read(folder / card.labels, "write one label a line").decode("utf-8").splitlines()
+    except UnicodeDecodeError as error:
+        raise InvalidRequest(card.labels, "it is no UTF-8 text") from error
+    return tuple(line.strip() for line in lines if line.strip())
+
+
+def _differentiable(file: Path | None, card: Card) -> bool | None:
+    """Whether its scores have gradients, as far as that is known before the network is read."""
+    if card.endpoint is not None:
+        return False
+    return None if file is None else file.suffix != ".onnx"

@@ -19,10 +19,10 @@ from services.attacks.goal import ResolvedGoal
 from services.attacks.limits import Constraint
 from services.attacks.verdict import Verdict, judge
 from services.errors import InvalidRequest
-from services.pipeline.goal_labels import AskedGoal, asked, with_same
 from services.pipeline.preview_record import FirstAnswer
 from services.pipeline.question_record import Asked, QuestionResult
 from services.pipeline.result import JobWarning, warnings
+from services.pipeline.spec import AskedGoal, asked_goal, with_same
 from services.rendering.plan import Plan
 from services.rendering.protocol import Parameters
 from services.targets import registry
@@ -102,7 +102,7 @@ class Classification:
         """`name` is the target's in the request. Raises InvalidRequest for a label that the network does not have."""
         card, labels = registry.card(name), registry.labels(name)
         self.target, self.goal, self._question = target, goal, question
-        self._asked = asked(goal, card, labels)
+        self._asked = asked_goal(goal, card, labels)
         self._table = table_truth(meshes, card, labels)
 
     def settle(self, original: Tensor, logits: Tensor) -> Settled:  # noqa: ARG002 - the protocol's

@@ -13,7 +13,6 @@ from services.attacks.limits import perturbation_bounds
 from services.attacks.run import Verifier
 from services.attacks.surrogate import Surrogate
 from services.errors import InvalidFields, InvalidRequest, named
-from services.pipeline import goal_labels
 from services.pipeline.analysis_fields import check_analysis, load_targets
 from services.pipeline.checked import Checked
 from services.pipeline.expectations import check_range, moving_groups, with_cost
@@ -22,7 +21,7 @@ from services.pipeline.preview_record import JobPlan
 from services.pipeline.questions import task_of
 from services.pipeline.recall import recall
 from services.pipeline.result import JobWarning
-from services.pipeline.spec import JobSpec
+from services.pipeline.spec import JobSpec, asked_goal
 from services.pipeline.surrogates import check_surrogate, surrogate
 from services.rendering.color import to_bytes
 from services.rendering.factory import build
@@ -126,7 +125,7 @@ def _prepare(spec: JobSpec, library: Library, tolerance: Tolerance) -> Prepared:
         raise InvalidRequest("target.name", f"{spec.target.name} has one label only; there is no other answer")
     card = registry.card(spec.target.name)
     _check_together(  # before anything is rendered
-        lambda: goal_labels.asked(spec.goal, card, labels),
+        lambda: asked_goal(spec.goal, card, labels),
         lambda: check_analysis(spec),
         lambda: check_surrogate(spec),
         lambda: _check_gradient(spec),

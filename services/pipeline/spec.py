@@ -1,11 +1,14 @@
 """The model of a whole request, which is the same JSON for `POST /v1/jobs` and `scene-attack run`.
 
-The attack of a request is one of all that are registered when it is read, the operator's extensions among them.
+The attack of a request is one of all that are registered when it is read, the operator's extensions among them. The
+labels that its goal names are looked up by `asked_goal`. `RerenderingSpec` is the request of the other kind of job. No
+torch is needed, so that a request is checked before it is queued.
 """
 
 import json
 import operator
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from functools import cache, lru_cache
 from hashlib import sha256
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, Union
@@ -25,12 +28,12 @@ from pydantic import (
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
 
-from services.analysis.requests import AnalysisRequest
-from services.attacks.attack import ATTACKS, AttackSettings, Goal, Seed
+from services.analysis.records import Rerendering
+from services.analysis.requests import AnalysisRequest, RerenderingRequest
+from services.attacks.attack import ATTACKS, AttackSettings, Goal, Label, Labels, Seed
 from services.errors import InvalidFields, InvalidRequest
 from services.names import Names, reference, unknown_parts
 from services.pipeline.field_errors import invalid_fields
-from services.pipeline.goal_labels import asked as looked_up
 from services.pipeline.question_record import MOST_TOGETHER, Call, Calls, Text, program, with_scene
 from services.questions.program import written
 from services.rendering.declaration import RENDERERS
@@ -38,9 +41,9 @@ from services.rendering.plan import DEFAULT_TOLERANCE
 from services.scenes.clevr.description import Generate
 from services.scenes.clevr.records import SceneRecord
 from services.scenes.description import Model, Scene, absent
-from services.targets.info import TARGETS
-from services.targets.labels import labels
-from services.text import closest
+from services.targets.info import TARGETS, TargetInfo
+from services.targets.labels import labels, same_labels
+from services.text import closest, did_you_mean
 
 
 def _validated(data: Any, names: Names | None) -> AttackSettings:
@@ -261,10 +264,70 @@ def check_labels(goal: Goal, targets: Iterable[TargetChoice]) -> None:
         if choice.name in TARGETS and not choice.questions:
             target = TARGETS[choice.name]
             try:
-                looked_up(goal, target.info, labels(choice.name, target))
+                asked_goal(goal, target.info, labels(choice.name, target))
             except InvalidRequest as error:
                 if error.field != "target.name":
                     raise unknown_parts("goal", error.every, "goal", goal.model_dump()) from error
+
+
+@dataclass(frozen=True)
+class AskedGoal:
+    """A goal as the request states it, in label indices. A truth of None is one that the request leaves out."""
+
+    goal: Goal
+    labels: tuple[str, ...]
+    same: tuple[frozenset[int], ...]
+    """Groups of labels that mean the same."""
+    truth: frozenset[int] | None
+    leave: frozenset[int]
+    reach: int | None
+
+
+def asked_goal(goal: Goal, target: TargetInfo, labels: tuple[str, ...]) -> AskedGoal:
+    """Looks up the labels of a goal, and with each those that mean the same.
+
+    Raises InvalidFields with every label that is not among the target's, and InvalidRequest if the label to reach is
+    one to leave.
+    """
+    same = tuple(frozenset(labels.index(one) for one in group if one in labels) for group in same_labels(target))
+    wrong: list[InvalidRequest] = []
+
+    def index(field: str, wanted: Label) -> frozenset[int]:
+        try:
+            return frozenset([_index(wanted, labels, field, target.name)])
+        except InvalidRequest as error:
+            wrong.append(error)
+            return frozenset()
+
+    def looked_up(field: str, wanted: Labels | None) -> frozenset[int]:
+        if not isinstance(wanted, tuple):
+            return frozenset() if wanted is None else index(field, wanted)
+        return frozenset[int]().union(*(index(f"{field}.{i}", one) for i, one in enumerate(wanted)))
+
+    truth = None if goal.truth is None else with_same(looked_up("goal.truth", goal.truth), same)
+    leave = with_same(looked_up("goal.leave", goal.leave), same)
+    reached = looked_up("goal.reach", goal.reach)
+    if wrong:
+        raise InvalidFields(wrong)
+    reach = next(iter(reached), None)
+    if reach in leave:
+        raise InvalidRequest("goal.reach", f"is a label to leave ({labels[reach]!r}); name another one")
+    return AskedGoal(goal, labels, same, truth, leave, reach)
+
+
+def with_same(labels: frozenset[int], groups: tuple[frozenset[int], ...]) -> frozenset[int]:
+    """The labels, and those that mean the same as one of them."""
+    return labels.union(*(group for group in groups if group & labels))
+
+
+def _index(wanted: str | int, labels: tuple[str, ...], field: str, target: str) -> int:
+    if isinstance(wanted, int):
+        if wanted >= len(labels):
+            raise InvalidRequest(field, f"{target} has labels 0 to {len(labels) - 1}, not {wanted}")
+        return wanted
+    if wanted not in labels:
+        raise InvalidRequest(field, f"{target} has no label {wanted!r}{did_you_mean(wanted, labels)}")
+    return labels.index(wanted)
 
 
 def parse(data: object, names: Names | None = None) -> JobSpec:
@@ -296,3 +359,29 @@ def named(items: Iterable[Mapping[str, Any]]) -> list[InvalidRequest]:
 @cache
 def _schema() -> dict[str, Any]:
     return JobSpec.model_json_schema()
+
+
+SENT_IMAGE = "image"
+"""Name of the job's file that is the image as it was sent: PNG, JPEG or WebP."""
+RENDERING = "rendering.png"
+"""Name of the file of the fitted scene's rendering, once the job succeeded."""
+
+
+class RerenderingSpec(Model):
+    """The request of a job that fits a scene to an image, and asks a network about the fitted scene's rendering."""
+
+    image: str = Field(description="SHA-256 of the image's file, which is the job's file `image`")
+    scene: Scene
+    target: TargetChoice
+    fit: RerenderingRequest
+
+    def attack(self) -> JobSpec:
+        """An attack on the same scene and network: both can be used if it can run."""
+        return JobSpec(scene=self.scene, target=self.target)
+
+
+class RerenderingView(BaseModel):
+    """The network's answers to the image and to the rendering of the scene fitted to it."""
+
+    rerendering: Rerendering
+    png: str = Field(description="the rendering as a PNG file in base64")

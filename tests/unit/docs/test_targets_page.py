@@ -13,7 +13,7 @@ import pytest
 import torch
 
 from services.extensions import load
-from services.pipeline.target_folders import register_folders
+from services.pipeline.extensions import register_folders
 from services.settings import Settings
 from services.targets import registry
 from services.targets.architectures import ARCHITECTURES

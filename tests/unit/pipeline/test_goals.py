@@ -8,7 +8,7 @@ import torch
 from services.attacks.attack import MAX_LABELS, Goal
 from services.attacks.goal import ResolvedGoal
 from services.errors import InvalidRequest
-from services.pipeline import goal_labels, goals
+from services.pipeline import goals, spec
 from services.pipeline.goals import Settled
 from services.targets.info import TargetInfo
 from services.targets.labels import truth_labels
@@ -25,7 +25,7 @@ def settled(
     """The goal, of a network that answers `first` with this confidence."""
     logits = torch.full((5,), (1 - confidence) / 4, dtype=torch.float64)
     logits[LABELS.index(first)] = confidence
-    return goals.settle(goal_labels.asked(Goal.model_validate(goal), target, LABELS), table, logits.log())
+    return goals.settle(spec.asked_goal(Goal.model_validate(goal), target, LABELS), table, logits.log())
 
 
 def codes(found: Settled) -> list[str]:
@@ -132,9 +132,9 @@ def test_a_goal_of_more_labels_than_a_request_may_name_is_refused() -> None:
     leave, truth = labels[:MAX_LABELS], (labels[0], *labels[MAX_LABELS : 2 * MAX_LABELS - 1])
     info = IMAGENET.model_copy(update={"vocabulary": "custom"})
     with pytest.raises(InvalidRequest, match="more than 1,000 labels; name fewer") as refused:
-        goals.settle(goal_labels.asked(Goal(truth=truth, leave=leave), info, labels), (), logits)
+        goals.settle(spec.asked_goal(Goal(truth=truth, leave=leave), info, labels), (), logits)
     assert refused.value.field == "goal.truth"
-    goals.settle(goal_labels.asked(Goal(truth=leave, leave=leave), info, labels), (), logits)
+    goals.settle(spec.asked_goal(Goal(truth=leave, leave=leave), info, labels), (), logits)
 
 
 def test_an_unsure_answer_is_warned_of() -> None:

@@ -3,7 +3,7 @@ from pathlib import Path
 
 import pytest
 
-from services.pipeline.target_folders import TargetFolder, register_folders
+from services.pipeline.extensions import TargetFolder, register_folders
 from services.settings import Settings
 from services.targets.architectures import register_architecture
 from services.targets.custom.card import AllowList
