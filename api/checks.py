@@ -16,10 +16,8 @@ from services.errors import InvalidRequest
 from services.export import ASSET
 from services.jobs.child import ChildDied, OutOfMemory
 from services.names import Names
-from services.pipeline.campaign_check import check_size, placed, samples
 from services.pipeline.campaign_spec import CampaignSpec
-from services.pipeline.checked import Checked
-from services.pipeline.names_known import check_names
+from services.pipeline.check import Checked, check_names, check_size, placed, samples
 from services.pipeline.preview_record import PlannedCost, Preview
 from services.pipeline.result import JobWarning
 from services.pipeline.spec import JobSpec, digest

@@ -55,8 +55,8 @@ from services.jobs.record import Record
 from services.jobs.uploads import DeletedAssets
 from services.logs import configure, logger
 from services.names import Names
+from services.pipeline.check import names_in
 from services.pipeline.extensions import log_extensions, set_up
-from services.pipeline.names_known import names_in
 from services.scenes.library import Library
 from services.settings import Settings
 

@@ -20,8 +20,7 @@ from services.jobs.queue import Queue
 from services.jobs.record import Record
 from services.logs import logger
 from services.names import Names
-from services.pipeline.checked import Checked
-from services.pipeline.names_known import check_names
+from services.pipeline.check import Checked, check_names
 from services.pipeline.spec import SENT_IMAGE, JobSpec, RerenderingSpec, digest, parse
 
 log = logger(__name__)

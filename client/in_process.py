@@ -117,7 +117,7 @@ def _labels(given: Any) -> tuple[str, ...]:
 
 def _spec(scene: Mapping[str, Any], name: str, spec: Mapping[str, Any], settings: Settings) -> JobSpec:
     from client.specs import local_library, to_library, with_meshes_added
-    from services.pipeline.names_known import names_in
+    from services.pipeline.check import names_in
     from services.pipeline.spec import parse
 
     for field, argument in (("scene", "scene"), ("target", "model")):

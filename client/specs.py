@@ -38,7 +38,7 @@ def read_job(spec: str, settings: "Settings", seed: int | None = None) -> "JobSp
 
     Raises InvalidFields with every wrong field, and every name that there is not.
     """
-    from services.pipeline.names_known import names_in
+    from services.pipeline.check import names_in
     from services.pipeline.spec import parse
 
     data, not_added = with_meshes_added(read(spec, seed), folder_of(spec), to_library(settings))
@@ -48,7 +48,7 @@ def read_job(spec: str, settings: "Settings", seed: int | None = None) -> "JobSp
 def read_campaign(spec: str, settings: "Settings") -> "CampaignSpec":
     """The campaign in the file `spec`; as `read_job`."""
     from services.pipeline.campaign_spec import parse
-    from services.pipeline.names_known import names_in
+    from services.pipeline.check import names_in
 
     data, not_added = with_meshes_added(read(spec), folder_of(spec), to_library(settings))
     return parse(data, names_in(local_library(settings), not_read=not_added))

@@ -18,8 +18,7 @@ from api.submissions import key_of
 from services.access.caller import Caller
 from services.errors import InvalidRequest
 from services.jobs.models import Artifact
-from services.pipeline.checked import Checked
-from services.pipeline.names_known import check_names
+from services.pipeline.check import Checked, check_names
 from services.pipeline.spec import SENT_IMAGE, RerenderingSpec
 
 router = APIRouter(prefix="/v1/rerenderings", tags=["defences"])

@@ -50,8 +50,8 @@ def run(
     from client.result_folder import prepare_folder
     from client.settings import settings_to_run
     from client.specs import read_campaign
-    from services.pipeline.campaign_check import check_size
     from services.pipeline.campaign_plan import nothing_chosen
+    from services.pipeline.check import check_size
     from services.scenes.furniture import slugify
 
     settings = settings_to_run()
@@ -62,9 +62,9 @@ def run(
     folder = out or Path("out") / (slugify(campaign.name) or "campaign")
     prepare_folder(folder)
     assets = library(settings)
-    from services.pipeline.campaign_check import check_samples
     from services.pipeline.campaign_plan import write
     from services.pipeline.campaign_run import run_campaign
+    from services.pipeline.check import check_samples
     from services.pipeline.prepare import preflight
 
     check_samples(campaign, lambda job: preflight(job, assets))

@@ -30,7 +30,6 @@ from services.jobs.placement import CAMPAIGNS, Demand
 from services.jobs.queue import Queue
 from services.jobs.uploads import check_held, refer_from_campaign, titles, uploads_among
 from services.logs import logger
-from services.pipeline.campaign_check import check_meshes, meshes_of
 from services.pipeline.campaign_plan import (
     CampaignResult,
     ChosenView,
@@ -46,6 +45,7 @@ from services.pipeline.campaign_plan import (
     views,
 )
 from services.pipeline.campaign_spec import CampaignSpec
+from services.pipeline.check import check_campaign_meshes, meshes_of
 from services.pipeline.result import Result
 
 
@@ -110,7 +110,7 @@ class Campaigns:
                     detail = f"an owner may have {owner_campaigns:,} campaigns that have not ended"
                     raise QuotaExceeded(detail, ENDED_SECONDS)
             uploads = uploads_among(meshes_of(spec))
-            check_held(session, uploads, partial(check_meshes, spec))
+            check_held(session, uploads, partial(check_campaign_meshes, spec))
             campaign = Campaign(
                 id=uuid4().hex,
                 name=spec.name,

@@ -22,7 +22,7 @@ from services.jobs.leases import change_state, lock, story
 from services.jobs.models import Artifact, Campaign, CampaignJob, Event, IdempotencyKey, Job, JobKind, State
 from services.jobs.placement import NO_DEMAND, Demand, targets_of
 from services.jobs.uploads import check_held, refer_from_job, titles, uploads_of
-from services.pipeline.names_known import check_meshes
+from services.pipeline.check import check_meshes
 from services.pipeline.result import JobWarning
 from services.pipeline.spec import JobSpec, RerenderingSpec, digest
 

@@ -14,7 +14,7 @@ from services.attacks.run import Verifier
 from services.attacks.surrogate import Surrogate
 from services.errors import InvalidFields, InvalidRequest, named
 from services.pipeline.analysis_fields import check_analysis, load_targets
-from services.pipeline.checked import Checked
+from services.pipeline.check import Checked
 from services.pipeline.expectations import check_range, moving_groups, with_cost
 from services.pipeline.goals import PlannedConstraint, Settled, Task
 from services.pipeline.preview_record import JobPlan

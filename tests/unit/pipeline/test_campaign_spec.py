@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 
 from services.errors import InvalidRequest
-from services.pipeline.campaign_check import check_meshes, check_size, most_jobs, placed, samples
 from services.pipeline.campaign_plan import jobs, views
 from services.pipeline.campaign_spec import CampaignSpec, RandomViews, SceneGrid, parse
+from services.pipeline.check import check_campaign_meshes, check_size, most_jobs, placed, samples
 from services.scenes import furniture_kinds
 from services.targets import registry
 from services.targets.labels import truth_labels
@@ -160,14 +160,14 @@ def test_every_mesh_is_checked_and_named_by_its_place() -> None:
             raise InvalidRequest("mesh", f"there is no mesh {name!r}")
 
     with pytest.raises(InvalidRequest, match=r"^grids.0.scenes.meshes.1: there is no mesh 'primitive/cube'"):
-        check_meshes(parse(SPEC), none)
+        check_campaign_meshes(parse(SPEC), none)
     scenes = [{"objects": [{"mesh": "primitive/sphere"}]}, {"objects": [{"mesh": "primitive/cone"}]}]
     with pytest.raises(InvalidRequest, match=r"^grids.0.scenes.1.objects.0.mesh"):
-        check_meshes(parse(changed(scenes=scenes)), none)
+        check_campaign_meshes(parse(changed(scenes=scenes)), none)
     with pytest.raises(InvalidRequest, match=r"^grids.0.scenes.kinds"):
-        check_meshes(parse(changed(scenes={"kinds": ["chair"]})), none)
+        check_campaign_meshes(parse(changed(scenes={"kinds": ["chair"]})), none)
     with pytest.raises(InvalidRequest, match=r"^jobs.1.scene.objects.0.mesh"):
-        check_meshes(parse({"jobs": [{"scene": scene} for scene in scenes]}), none)
+        check_campaign_meshes(parse({"jobs": [{"scene": scene} for scene in scenes]}), none)
 
 
 @pytest.mark.parametrize(

@@ -1,12 +1,83 @@
-"""Checks a campaign before it is accepted: its size, the meshes that it names, and one job of each kind."""
+"""Checks a request as far as that needs neither torch nor a file: its names, and the size and meshes of a campaign.
+
+What else must be right of a job, or of one job of each kind in a campaign (`samples`), is checked where it is prepared.
+"""
 
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import cache
+from types import MappingProxyType
 
 from services.errors import InvalidFields, InvalidRequest
+from services.names import Names
 from services.pipeline.campaign_plan import job_of
 from services.pipeline.campaign_spec import CampaignSpec, Grid, Member, SceneGrid
+from services.pipeline.campaign_spec import parse as parse_campaign
+from services.pipeline.result import JobWarning
 from services.pipeline.spec import JobSpec
-from services.scenes.description import Lights
+from services.pipeline.spec import parse as parse_job
+from services.rendering.torch_renderer.preset_names import check_preset
+from services.scenes.description import Lights, Scene
+from services.scenes.library import Library
+from services.targets.download import check_obtainable
+
+
+@dataclass(frozen=True)
+class Checked:
+    """A request that can run: its spec as it would run, and what its sender is warned of."""
+
+    spec: JobSpec
+    warnings: tuple[JobWarning, ...]
+
+
+def names_in(
+    library: Library,
+    may_use: Callable[[str], bool] = lambda _: True,
+    not_read: Mapping[str, str] = MappingProxyType({}),
+) -> Names:
+    """Returns the context with which a request is validated together with the names in it.
+
+    An upload for whose name `may_use` is false is unknown. `not_read` says of meshes that are files of this machine why
+    they could not be added.
+    """
+
+    def check_mesh(name: str) -> None:
+        if name in not_read:
+            raise InvalidRequest("mesh", not_read[name])
+        library.check_mesh(name, may_use)
+
+    # A campaign names the same few things in each of thousands of jobs.
+    return {
+        "mesh": cache(check_mesh),
+        "map": cache(lambda name: library.check_map(name, may_use)),
+        "material": check_preset,
+        "target": cache(check_obtainable),
+    }
+
+
+def check_names(request: JobSpec | CampaignSpec, names: Names) -> None:
+    """Raises InvalidFields with every name in a valid request that there is not."""
+    parse = parse_job if isinstance(request, JobSpec) else parse_campaign
+    parse(request.model_dump(mode="json"), names)
+
+
+def check_meshes(scene: Scene, check: Callable[[str], None]) -> None:
+    """Calls `check` with the name of every mesh, and of an environment map that is an upload. It raises
+    InvalidRequest("mesh") for one that may not be named, which is raised again with its path in the request.
+    """
+    for index, thing in enumerate(scene.objects):
+        try:
+            check(thing.mesh)
+        except InvalidRequest as error:
+            raise InvalidRequest(f"scene.objects.{index}.mesh", error.detail) from error
+    environment = scene.lights.environment.map
+    if environment.startswith("sha256:"):
+        try:
+            check(environment)
+        except InvalidRequest as error:
+            detail = f"there is no environment map {environment!r}, or it is no upload of yours"
+            raise InvalidRequest("scene.lights.environment.map", detail) from error
+
 
 Places = Mapping[str, str]
 """The path in the campaign of each part of a job, e.g. {"attack": "grids.0.attacks.2.attack"}; "" is the rest."""
@@ -51,7 +122,7 @@ def _renderers(grid: Grid) -> int:
     return len({column.attack.base_renderer or column.attack.renderer for column in grid.attacks})
 
 
-def check_meshes(campaign: CampaignSpec, check: Callable[[str], None]) -> None:
+def check_campaign_meshes(campaign: CampaignSpec, check: Callable[[str], None]) -> None:
     """Calls `check` with the name of every mesh. It raises InvalidRequest("mesh") for an unknown one, which is raised
     again with the path of the mesh in the campaign.
     """
