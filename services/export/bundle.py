@@ -22,12 +22,11 @@ from services.export.glb import scene_glb
 from services.export.parameters import as_colors, light_maps, normal_maps, parameter_table, write_exr
 from services.export.report import Files, readme, report
 from services.export.scene_values import moves_the_scene, scene_values
-from services.pipeline.execute import RESULT
 from services.pipeline.exported_targets import exported_targets, write_targets
 from services.pipeline.names import job_name
 from services.pipeline.perturbation_file import PERTURBATION
 from services.pipeline.prepare import lit_by_map, resolved_scene
-from services.pipeline.result import Result
+from services.pipeline.result import RESULT, Result
 from services.pipeline.spec import JobSpec, parse
 from services.rendering.protocol import Parameters
 from services.rendering.torch_renderer.declaration import TORCH

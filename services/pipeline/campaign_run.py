@@ -29,9 +29,9 @@ from services.pipeline.campaign_plan import (
     views,
 )
 from services.pipeline.campaign_spec import CampaignSpec
-from services.pipeline.execute import RESULT, execute, provenance
+from services.pipeline.execute import execute, provenance
 from services.pipeline.prepare import prepare_exactly
-from services.pipeline.result import Result
+from services.pipeline.result import RESULT, Result
 from services.scenes.library import Library
 from services.targets.scores import probability
 

@@ -28,7 +28,7 @@ from services.pipeline.change_files import save_change
 from services.pipeline.extensions import loaded_extensions
 from services.pipeline.leaving_out import LeavingOut, leaving_out
 from services.pipeline.prepare import Prepared, lit_by_map, prepare
-from services.pipeline.result import AtEpsilon, JobWarning, Provenance, Result, subset_image
+from services.pipeline.result import RESULT, AtEpsilon, JobWarning, Provenance, Result, subset_image
 from services.pipeline.spec import JobSpec
 from services.process import versions
 from services.rendering.color import to_bytes
@@ -36,7 +36,6 @@ from services.rendering.plan import Plan
 from services.scenes.library import Library
 from services.targets.info import TARGETS
 
-RESULT = "result.json"
 _VERSIONED = ("scene-attack", "torch", "numpy", "pyrender-maintained", "PyOpenGL", "trimesh", "OpenEXR", "safetensors")
 
 

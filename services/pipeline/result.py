@@ -51,6 +51,8 @@ class _Record(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
 
+RESULT = "result.json"
+"""Name of the file with the result."""
 BEST_SO_FAR = "best-so-far.json"
 """Name of the file with the best that an attack had found which was ended before its time."""
 CHECKPOINT = "checkpoint.safetensors"

@@ -10,10 +10,9 @@ from torch import Tensor
 
 from services.analysis.images import load_png
 from services.errors import InvalidRequest
-from services.pipeline.execute import RESULT
 from services.pipeline.field_errors import in_words
 from services.pipeline.perturbation_file import PERTURBATION
-from services.pipeline.result import Result
+from services.pipeline.result import RESULT, Result
 from services.rendering.protocol import Parameters
 
 IMAGE = "attacked.png"
