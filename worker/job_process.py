@@ -28,10 +28,10 @@ from services.jobs.placement import Abilities
 from services.jobs.record import Record
 from services.jobs.warm_up import warm_up
 from services.logs import bound, configure, logger
+from services.pipeline.analyse import decode_image, rerender_image
 from services.pipeline.campaign_plan import View
 from services.pipeline.campaign_run import first_answers
 from services.pipeline.execute import Progress, execute
-from services.pipeline.rerender import decode_image, rerender_image
 from services.pipeline.result import JobWarning, Result, outcome
 from services.pipeline.spec import RENDERING, SENT_IMAGE, JobSpec, RerenderingSpec, RerenderingView, digest, parse
 from services.scenes.library import Library

@@ -8,7 +8,7 @@ import typer
 from client.commands.options import JsonOption
 
 if TYPE_CHECKING:
-    from services.pipeline.analyse_stored import StoredAnalysis
+    from services.pipeline.analyse import StoredAnalysis
     from services.settings import Settings
 
 ANALYSES = "analyses.json"
@@ -81,7 +81,7 @@ def _analyse(directory: Path, request: dict[str, Any], settings: "Settings") -> 
         line.update("loading", 0, 1, None)
         assets = library(settings)
         from services.analysis.requests import AnalysisRequest
-        from services.pipeline.analyse_stored import analyse_stored
+        from services.pipeline.analyse import analyse_stored
 
         return analyse_stored(
             directory,
@@ -128,7 +128,7 @@ def rerender(
         line.update("loading", 0, 1, None)
         assets = library(settings)
         from services.analysis.images import load_png, save_png
-        from services.pipeline.rerender import rerender_image
+        from services.pipeline.analyse import rerender_image
 
         try:
             pixels = load_png(image)

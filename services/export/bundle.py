@@ -24,10 +24,10 @@ from services.export.report import Files, readme, report
 from services.export.scene_values import moves_the_scene, scene_values
 from services.pipeline.exported_targets import exported_targets, write_targets
 from services.pipeline.names import job_name
-from services.pipeline.perturbation_file import PERTURBATION
 from services.pipeline.prepare import lit_by_map, resolved_scene
 from services.pipeline.result import RESULT, Result
 from services.pipeline.spec import JobSpec, parse
+from services.pipeline.stored import PERTURBATION
 from services.rendering.protocol import Parameters
 from services.rendering.torch_renderer.declaration import TORCH
 from services.scenes.exported_assets import write_assets

@@ -1,28 +1,37 @@
-"""Makes the analyses that a request asks for, of a stored perturbation."""
+"""Makes the analyses that a request asks for, of a perturbation that was just found or is stored in a result.
+
+The re-rendering defence is also made of an image alone, whose scene is known.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 
+import torch
+from pydantic import BaseModel
 from torch import Tensor
 
-from services.analysis.attribution import Tick, of_coordinates
+from services.analysis.attribution import Tick, of_coordinates, of_subsets
 from services.analysis.minimal import minimal_change
 from services.analysis.physical import physical_changes
-from services.analysis.records import Analyses, Rerendering, Transferred
+from services.analysis.records import Analyses, Attribution, Rerendering, Subset, Transferred
 from services.analysis.requests import AnalysisRequest, RerenderingRequest
 from services.analysis.rerendering import attack_through, interpret, rerender
-from services.analysis.subsets import ScoredImage
+from services.analysis.subsets import ScoredImage, scored, subsets
 from services.analysis.transfer import Wanted, indices, shown_to
 from services.attacks.run import Verifier
 from services.errors import InvalidRequest
 from services.pipeline import goals
 from services.pipeline.described import described
-from services.pipeline.prepare import Prepared
-from services.pipeline.questions import bound
-from services.pipeline.spec import JobSpec
+from services.pipeline.prepare import Prepared, prepare, resolved_scene
+from services.pipeline.questions import asked_questions, bound
+from services.pipeline.spec import JobSpec, parse
+from services.pipeline.stored import read_stored
 from services.rendering.factory import build
 from services.rendering.protocol import Parameters
 from services.rendering.torch_renderer.declaration import TORCH
+from services.scenes.image_file import other_size
+from services.scenes.isolated_reading import reader
 from services.scenes.library import Library
 from services.scenes.resolve import ResolvedScene, resolve
 from services.targets import registry
@@ -152,3 +161,62 @@ def _wanted(prepared: Prepared, target: str, labels: tuple[str, ...]) -> Wanted:
         same=tuple(indices(group, labels) for group in same_labels(card)),
         least_confidence=prepared.goal.least_confidence,
     )
+
+
+class StoredAnalysis(BaseModel):
+    """The table of subsets and the groups' Shapley values, made anew, and the analyses that were asked for."""
+
+    subsets: list[Subset]
+    attribution: Attribution
+    analyses: Analyses
+
+
+def analyse_stored(directory: Path, request: AnalysisRequest, library: Library, report: Report) -> StoredAnalysis:
+    """Analyses the result in a directory. Raises InvalidRequest as `read_stored` and `prepare` do, and if a
+    file does not belong to the others.
+    """
+    stored = read_stored(directory)
+    spec = parse(stored.result.spec | {"analysis": request.model_dump(mode="json")})
+    prepared = prepare(spec, library)
+    verifier = prepared.verifier
+    _check_perturbation(stored.perturbation, spec, prepared.renderer.initial())
+    perturbation = {group: stored.perturbation[group] for group in spec.attack.groups}  # in the order of tables
+    ends = scored(verifier, {}), scored(verifier, perturbation)
+    rows = subsets(verifier, prepared.goal, perturbation, *ends)
+    found = analyse(Subject(prepared, perturbation, *ends), request, library, report)
+    return StoredAnalysis(subsets=rows, attribution=of_subsets(rows), analyses=found)
+
+
+def _check_perturbation(perturbation: Parameters, spec: JobSpec, initial: Parameters) -> None:
+    """Raises InvalidRequest("directory") if the perturbation is not one of the scene and the groups of the spec."""
+    wanted = {group: list(initial[group].shape) for group in spec.attack.groups}
+    found = {group: list(value.shape) for group, value in perturbation.items()}
+    if found != wanted:
+        detail = f"its perturbation has the groups and shapes {found}, which are not {wanted} of its request"
+        raise InvalidRequest("directory", detail)
+
+
+def rerender_image(
+    image: Tensor, spec: JobSpec, request: RerenderingRequest, library: Library, tick: Tick
+) -> tuple[Rerendering, Tensor]:
+    """Fits the scene of a spec to an image, uint8 [H, W, 3], and asks the spec's target about image and rendering.
+
+    Returns the record and the rendering, uint8 [H, W, 3]. Raises InvalidRequest("image") for an image that is not of
+    the camera's size, and as `resolve` and the target's registry do.
+    """
+    _check_size((image.shape[0], image.shape[1]), spec.scene.camera.size)
+    asked_questions(spec, registry.load(spec.target.name))
+    return rerendered(fitting_verifier(resolved_scene(spec, library), spec), image, request, tick)
+
+
+def decode_image(data: bytes, size: tuple[int, int]) -> Tensor:
+    """Reads a PNG, JPEG or WebP file as uint8 [H, W, 3], whose height and width must be `size`, in another process.
+
+    Raises InvalidRequest("image"). The size is checked before the pixels are read.
+    """
+    return torch.from_numpy(reader().read_image(data, size).copy())
+
+
+def _check_size(found: tuple[int, int], size: tuple[int, int]) -> None:
+    if found != tuple(size):
+        raise InvalidRequest("image", other_size(found, size))

@@ -8,10 +8,10 @@ from services.analysis.images import answer, of_float_images, of_images
 from services.analysis.physical import changes_in_words
 from services.analysis.records import Answer
 from services.attacks import run
-from services.pipeline.change_files import save_change
 from services.pipeline.prepare import prepare_exactly
 from services.pipeline.result import BEST_SO_FAR
 from services.pipeline.spec import JobSpec
+from services.pipeline.stored import save_change
 from services.rendering.color import to_bytes
 from services.rendering.physical_change import Change
 from services.scenes.library import Library

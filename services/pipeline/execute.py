@@ -24,12 +24,12 @@ from services.attacks.run import AttackState, Budget, run, sampled_error
 from services.attacks.trace import TraceRow
 from services.errors import Cancelled, named
 from services.pipeline.analyse import Report, Subject, analyse
-from services.pipeline.change_files import save_change
 from services.pipeline.extensions import loaded_extensions
 from services.pipeline.leaving_out import LeavingOut, leaving_out
 from services.pipeline.prepare import Prepared, lit_by_map, prepare
 from services.pipeline.result import RESULT, AtEpsilon, JobWarning, Provenance, Result, subset_image
 from services.pipeline.spec import JobSpec
+from services.pipeline.stored import save_change
 from services.process import versions
 from services.rendering.color import to_bytes
 from services.rendering.plan import Plan

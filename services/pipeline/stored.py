@@ -1,21 +1,60 @@
-"""Reads the output directory of a finished job."""
+"""The output directory of a job: writes what an attack changed, and reads the directory of a finished job.
 
+The perturbation is a safetensors file that says what its numbers are.
+"""
+
+import json
 from dataclasses import dataclass
 from pathlib import Path
 
 from pydantic import ValidationError
 from safetensors import SafetensorError
-from safetensors.torch import load_file
+from safetensors.torch import load_file, save_file
 from torch import Tensor
 
-from services.analysis.images import load_png
+from services.analysis import images
+from services.analysis.physical import change_images
 from services.errors import InvalidRequest
 from services.pipeline.field_errors import in_words
-from services.pipeline.perturbation_file import PERTURBATION
+from services.pipeline.prepare import Prepared
 from services.pipeline.result import RESULT, Result
-from services.rendering.protocol import Parameters
+from services.rendering.declaration import RENDERERS
+from services.rendering.protocol import Parameters, Renderer
 
+PERTURBATION = "perturbation.safetensors"
 IMAGE = "attacked.png"
+
+
+def save_change(prepared: Prepared, stored: Parameters, attacked: Tensor, out: Path) -> None:
+    """Writes the files into the directory `out`. attacked: the exact image of `stored`, uint8 [H, W, 3]."""
+    images.save_png(prepared.original, out / "original.png")
+    images.save_png(attacked, out / IMAGE)
+    images.save_png(images.magnified(prepared.original, attacked), out / "perturbation.png")
+    for name, image in change_images(prepared.renderer, stored).items():
+        images.save_png(image, out / name)
+    save_perturbation(stored, prepared.renderer, out / PERTURBATION)
+
+
+def save_perturbation(perturbation: Parameters, renderer: Renderer, path: Path) -> None:
+    """Writes one tensor for each group: its change from the scene's own values, `describe` as metadata."""
+    tensors = {group: value.contiguous() for group, value in perturbation.items()}
+    # One entry: the library writes several in an order of its own, and the same job gives the same bytes.
+    save_file(tensors, path, metadata={"groups": describe(perturbation, renderer)})
+
+
+def describe(perturbation: Parameters, renderer: Renderer) -> str:
+    """JSON: for each group its unit, its axes and, where they have names, its coordinates in flat order."""
+    declared = {group.name: group for group in RENDERERS[renderer.name].groups}
+    found = {
+        group: {
+            "unit": declared[group].unit,
+            "axes": list(declared[group].shape),
+            "names": renderer.names(group),
+            "values": "change from the scene's own values",
+        }
+        for group in sorted(perturbation)
+    }
+    return json.dumps(found, ensure_ascii=False)
 
 
 @dataclass(frozen=True)
@@ -36,7 +75,7 @@ def read_stored(directory: Path) -> Stored:
         return Stored(
             Result.model_validate_json((directory / RESULT).read_bytes()),
             load_file(directory / PERTURBATION),
-            load_png(directory / IMAGE),
+            images.load_png(directory / IMAGE),
         )
     except ValidationError as error:
         first, *others = error.errors(include_url=False, include_input=False)

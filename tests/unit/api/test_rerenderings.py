@@ -18,8 +18,8 @@ from services.analysis.images import pixels, png, save_png
 from services.analysis.records import Rerendering
 from services.analysis.requests import RerenderingRequest
 from services.jobs.models import Artifact
+from services.pipeline.analyse import decode_image, rerender_image
 from services.pipeline.prepare import prepare
-from services.pipeline.rerender import decode_image, rerender_image
 from services.settings import Settings
 from tests.unit.jobs.small import LIBRARY, SPHERE, spec
 from worker.job_process import Jobs

@@ -11,10 +11,10 @@ from services.analysis.images import save_png
 from services.analysis.records import Rerendering
 from services.analysis.requests import AnalysisRequest
 from services.errors import InvalidRequest
-from services.pipeline.analyse_stored import StoredAnalysis, analyse_stored
+from services.pipeline.analyse import StoredAnalysis, analyse_stored
 from services.pipeline.execute import execute
-from services.pipeline.perturbation_file import PERTURBATION
 from services.pipeline.prepare import prepare
+from services.pipeline.stored import PERTURBATION
 from tests.unit.client.command_line import cli
 from tests.unit.jobs.small import LIBRARY, SPHERE, spec
 

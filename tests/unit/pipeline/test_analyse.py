@@ -9,10 +9,9 @@ from safetensors.torch import load_file
 
 from services.analysis.requests import AnalysisRequest, RerenderingRequest
 from services.errors import Cancelled, InvalidRequest
-from services.pipeline.analyse_stored import analyse_stored
+from services.pipeline.analyse import analyse_stored, rerender_image
 from services.pipeline.execute import Progress, execute
 from services.pipeline.prepare import preflight, prepare
-from services.pipeline.rerender import rerender_image
 from services.pipeline.result import Result
 from services.rendering.factory import build
 from services.scenes.resolve import resolve
