@@ -10,8 +10,7 @@ from httpx import ASGITransport
 from api.dashboard.comparison import differences
 from services.errors import InvalidRequest
 from services.jobs.record import Record
-from services.pipeline.rerendering_spec import RerenderingSpec
-from services.pipeline.spec import parse
+from services.pipeline.spec import RerenderingSpec, parse
 from tests.unit.api.dashboard_records import SPEC, add, app, open_record, result, start, succeed
 from tests.unit.api.test_dashboard_pages import Tags
 
