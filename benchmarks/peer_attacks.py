@@ -17,11 +17,10 @@ from benchmarks.peers import Lite0, reach
 from benchmarks.report import RESULTS, save
 from benchmarks.views import VIEWS
 from client.settings import settings_to_run
-from services.attacks.attack import ATTACKS
+from services.attacks.attack import ATTACKS, Attack
 from services.attacks.goal import ResolvedGoal
-from services.attacks.method import Method
-from services.attacks.problem import AttackProblem, gradients, quantize
-from services.attacks.run import Budget, Verifier, run
+from services.attacks.problem import AttackProblem, at_random_start, differentiate, evaluate
+from services.attacks.run import AttackRun, Verifier, run_attack
 from services.errors import InvalidRequest
 from services.pipeline.prepare import prepare
 from services.pipeline.spec import parse
@@ -54,7 +53,7 @@ class Case:
     def problems(self, loss: str, seed: int) -> list[AttackProblem]:
         """Our problems, one for each image."""
         return [
-            AttackProblem(
+            AttackProblem.of(
                 ImageRenderer(from_bytes(image), "a file"),
                 self.target,
                 ResolvedGoal((int(label),), None),
@@ -66,41 +65,39 @@ class Case:
             for index, (image, label) in enumerate(zip(self.saved, self.labels, strict=True))
         ]
 
-    def method(self, name: str, problem: AttackProblem, **given: Any) -> Method:
-        """Our method of this name."""
+    def attack(self, name: str, **given: Any) -> Attack:
+        """Our attack of this name."""
         request = {"method": name, "renderer": "image", "epsilon": {"image": self.epsilon}} | given
-        attack = ATTACKS[name]
-        method: Method = attack.method(attack.settings.model_validate(request), problem)
-        return method
+        return ATTACKS[name].model_validate(request)
 
 
 def ours(case: Case, name: str, steps: int, seed: int | None = None, **given: Any) -> Tensor:
-    """All steps of our method, without ending early. Begins at random if there is a seed, and then keeps the best."""
+    """All steps of our attack, without ending early. Begins at random if there is a seed, and then keeps the best."""
     images = []
-    for problem in case.problems(given.get("loss", "log-odds"), seed or 0):
-        if seed is not None:
-            problem.restart(1)
-        method = case.method(name, problem, steps=steps, **given)
-        best, kept = torch.inf, problem.nothing()
+    attack = case.attack(name, steps=steps, **given)
+    for one in case.problems(given.get("loss", "log-odds"), seed or 0):
+        problem = one if seed is None else at_random_start(one, 1, 0)
+        state = attack.init(problem)
+        least, best = torch.inf, problem.nothing
         for step in range(steps + 1):
-            view = problem.view(method.perturbation, gradient=True)
-            logits = problem.logits(quantize(view.images)[1])
-            objective = float(problem.objective(logits[0].detach()))
-            if seed is None or objective < best:
-                best, kept = objective, {g: v.detach() for g, v in view.perturbation.items()}
-            found = gradients(problem, view, logits)
-            method.advance(problem, replace(view, gradients=found, objective=objective), step)
-        images.append(problem.initial["image"] + kept["image"])
+            evaluation = differentiate(problem, evaluate(problem, state["delta"], step, gradient=True))
+            objective = float(problem.objective(evaluation.scores))
+            if seed is None or objective < least:
+                least, best = objective, evaluation.delta
+            state = attack.step(problem, state, replace(evaluation, objective=objective))
+        images.append(problem.layout.unflatten(problem.initial + best)["image"])
     return to_bytes(torch.stack(images))
 
 
 def our_square(case: Case, queries: int, seed: int) -> tuple[Tensor, float]:
     """Our Square through the loop, which ends at the first success; the images, and the mean of the queries."""
-    found = [
-        run(p, case.method("square", p, steps=queries), Verifier(p.renderer, case.target), Budget(queries))
-        for p in case.problems("margin", seed)
+    attack = case.attack("square", steps=queries)
+    runs = [
+        run_attack(AttackRun.begin_or_resume(problem, attack, Verifier.of(problem)))
+        for problem in case.problems("margin", seed)
     ]
-    return torch.stack([one.image for one in found]), sum(one.step for one in found) / len(found)
+    images = [run.best.saved for run in runs if run.best is not None]
+    return torch.stack(images), sum(run.step for run in runs) / len(runs)
 
 
 def theirs(case: Case, run: Callable[[Tensor, Tensor], Tensor]) -> Tensor:

@@ -23,8 +23,7 @@ import torch
 from benchmarks.report import RESULTS, save
 from benchmarks.views import right
 from client.settings import settings_to_run
-from services.attacks.problem import AttackProblem
-from services.attacks.zoo import ZooMethod
+from services.attacks.problem import AttackProblem, evaluate
 from services.jobs.child import ALLOCATOR
 from services.pipeline.prepare import prepare
 from services.pipeline.spec import parse
@@ -60,10 +59,9 @@ def _measure(library: Library, mesh: str, label: str, repeats: int) -> dict[str,
     spec = parse({"scene": {"objects": [{"mesh": mesh}]}, "goal": {"leave": label}, "attack": attack, "seed": SEED})
     ready = prepare(spec, library)
     renderer = ready.renderer
-    problem = AttackProblem(renderer, ready.target, ready.goal, spec.attack.groups, seed=SEED, weight=0.001)
-    method = ZooMethod(spec.attack, problem)  # type: ignore[arg-type]
-    method.start(problem)
-    view = problem.view(method.perturbation)
+    problem = AttackProblem.of(renderer, ready.target, ready.goal, spec.attack.groups, seed=SEED, distance_weight=0.001)
+    state = spec.attack.init(problem)
+    evaluation = evaluate(problem, state["delta"], 0)
     sides = both_sides(renderer.initial(), spec.attack.groups)
     start = {group: value[None] for group, value in renderer.initial().items()}
     images = renderer.render(sides)
@@ -77,7 +75,7 @@ def _measure(library: Library, mesh: str, label: str, repeats: int) -> dict[str,
         times = _in_turn(
             {
                 "network_28": lambda: ready.target.logits(images),
-                "zoo_step": lambda: method.advance(problem, view, 0),
+                "zoo_step": lambda: spec.attack.step(problem, state, evaluation),
                 "loop_of_28": one_by_one,
                 "images_28_shared": lambda: renderer.render(sides),
                 "images_28_alone": lambda: exact.render(sides),

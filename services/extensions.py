@@ -34,14 +34,14 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
     """Entries by name, in alphabetical order.
 
     At the first look-up the built-in modules are imported: those of `package` in whose text a line begins with
-    `register(` or `@register(`, or with another name of the function that registers. The text is searched so that the
+    `register(` or `@register`, or with another name of the function that registers. The text is searched so that the
     package's other modules, and torch with them, need not be imported to list the entries.
     """
 
     def __init__(self, kind: str, package: str, function: str = "register") -> None:
         self.kind = kind
         self._package = package
-        self._registers = re.compile(rf"^@?{function}\(", re.MULTILINE)
+        self._registers = re.compile(rf"^@?{function}(\(|$)", re.MULTILINE)
         self._entries: dict[str, Entry] = {}
         self._complete = False
         self._finding = False
@@ -66,6 +66,10 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
     def __len__(self) -> int:
         self._find()
         return len(self._entries)
+
+    def so_far(self) -> dict[str, Entry]:
+        """The entries that are registered so far; a module that registers must not import all others for it."""
+        return dict(self._entries)
 
     def snapshot(self) -> dict[str, Entry]:
         """Returns a copy of the entries, for `restore`."""

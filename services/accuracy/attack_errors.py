@@ -2,7 +2,7 @@
 
 import random
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import combinations
 from time import perf_counter
 from typing import Any
@@ -10,9 +10,9 @@ from typing import Any
 import torch
 from pydantic import BaseModel, ConfigDict, Field
 
-from services.attacks.fgsm import Fgsm, FgsmMethod
+from services.attacks.fgsm import Fgsm
 from services.attacks.goal import ResolvedGoal
-from services.attacks.problem import AttackProblem, gradients, quantize
+from services.attacks.problem import AttackProblem, Evaluation, differentiate, evaluate, quantize
 from services.rendering.opengl.gbuffer import rasterise
 from services.rendering.plan import GradientError
 from services.rendering.torch_renderer.declaration import TORCH
@@ -162,18 +162,17 @@ def _errors(renderer: TorchRenderer, groups: tuple[str, ...], steps: int) -> Ite
     settings = Fgsm(groups=groups, truncation=None)
     start = renderer.exact().render({group: renderer.initial()[group][None].double() for group in groups})
     first = int(target.logits(quantize(start.float())[1])[0].argmax())
-    problem = AttackProblem(renderer, target, ResolvedGoal(leave=(first,), reach=None), settings.groups)
-    method = FgsmMethod(settings, problem)
+    problem = AttackProblem.of(renderer, target, ResolvedGoal(leave=(first,), reach=None), settings.groups)
+    state = settings.init(problem)
     for step in range(steps + 1):
-        view = problem.view(method.perturbation, gradient=True)
-        yield _error(renderer, problem, view.images.detach(), method)
+        evaluation = evaluate(problem, state["delta"], step, gradient=True)
+        yield _error(renderer, problem, evaluation)
         if step < steps:
-            found = gradients(problem, view, problem.logits(quantize(view.images)[1]))
-            method.advance(problem, replace(view, gradients=found), step)
+            state = settings.step(problem, state, differentiate(problem, evaluation))
 
 
 @torch.no_grad()
-def _error(renderer: TorchRenderer, problem: AttackProblem, images: torch.Tensor, method: FgsmMethod) -> float:
-    moved = {group: (problem.initial[group] + value)[None] for group, value in method.perturbation.items()}
-    exact = renderer.exact().render({group: value.double() for group, value in moved.items()})
-    return float((images.double() - exact).abs().max())
+def _error(renderer: TorchRenderer, problem: AttackProblem, evaluation: Evaluation) -> float:
+    values = problem.layout.unflatten((problem.initial + evaluation.delta)[None])
+    exact = renderer.exact().render({group: value.double() for group, value in values.items()})
+    return float((evaluation.image.double() - exact).abs().max())

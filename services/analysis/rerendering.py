@@ -187,7 +187,7 @@ def attack_through(
         _, rendered = fitted(verifier, saved, fit.optimiser, fit.rate, fit.steps, count)
         shown = from_bytes(rendered)[None].requires_grad_()
         logits = verifier.target.logits(shown)
-        verifier.queries += 1
+        verifier.counts.queries += 1
         check_graph(verifier.renderer, verifier.target, shown, logits)
         trace.append(float(goal.probability(logits.detach()[0])))
         met = bool(goal.fooled(logits.detach()[0]))

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from math import inf
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
-from services.attacks.attack import AttackSettings, register, suggested_limits
+from services.attacks.attack import Attack, register, suggested_limits
 from services.attacks.losses import DESCRIPTION, Loss
 from services.attacks.square import groups_without_pixels
 
 if TYPE_CHECKING:
     from torch import Tensor
 
+    from services.attacks.attack import State
     from services.attacks.problem import AttackProblem, Evaluation
-    from services.rendering.protocol import Parameters
 
 FIRST_STEP = 2.0
 """First step size, in ε."""
@@ -26,13 +27,15 @@ FIRST_PERIOD, SHORTER_BY, SHORTEST_PERIOD = 0.22, 0.03, 0.06
 """Number of steps up to the first checkpoint, by which each next period is shorter, and of the shortest, in `steps`."""
 
 
-class Apgd(AttackSettings):
+@register
+class Apgd(Attack):
     """Auto-PGD (Croce & Hein 2020): sign steps within ε with momentum; at checkpoints the step is halved and the best
     point taken up again if too few steps improved the objective. It has no step size to choose: steps are measured in
     ε, which each group therefore has, whatever else limits the perturbation.
     """
 
     method: Literal["apgd"] = "apgd"
+    needs_gradient: ClassVar[bool] = True
     steps: Annotated[int, Field(ge=1, le=10_000)] = Field(
         100, description="largest number of steps, over which the checkpoints are spread"
     )
@@ -65,101 +68,72 @@ class Apgd(AttackSettings):
             raise ValueError(f"masking_queries: {group!r} is no image, which square needs; leave this out")
         return self
 
-
-@register(Apgd)
-class ApgdMethod:
-    """z = P(x − η·ε·sign ∇);  x ← P(x + α·(z − x) + (1 − α)·(x − x before)), with the same η for all groups.
-
-    P projects onto the bounds, which ε is part of. Works on all groups as one vector.
-    """
-
-    needs_gradient = True
-
-    def __init__(self, settings: Apgd, problem: AttackProblem) -> None:
-        import torch
-
-        self.layout = problem.layout
-        self.delta = self.layout.flatten(problem.beginning)
-        self.before = self.delta
-        self.best = self.delta
-        self.best_direction = self.delta
-        self.radius = self.layout.spread(settings.epsilon).to(self.delta.dtype)
-        self.shorter_by = max(int(SHORTER_BY * settings.steps), 1)
-        self.shortest = max(int(SHORTEST_PERIOD * settings.steps), 1)
-        self.objectives = torch.full((3,), torch.inf, dtype=torch.float64)
-        """Of the last point, of the best, and of the best at the last checkpoint."""
-        self.step_size = FIRST_STEP
-        self.period = max(int(FIRST_PERIOD * settings.steps), 1)
-        self.since = 0
-        """Steps since the last checkpoint."""
-        self.improved = 0
-        """How many of them lowered the objective."""
-        self.halved = True
-        """Whether the last checkpoint halved the step. The first checkpoint compares with none."""
-
-    @property
-    def perturbation(self) -> Parameters:
-        """The current perturbation, by group."""
-        return self.layout.unflatten(self.delta)
-
-    def start(self, problem: AttackProblem) -> dict[str, object]:  # noqa: ARG002 - nothing to measure
-        """APGD measures no settings."""
-        return {}
-
-    def advance(self, problem: AttackProblem, view: Evaluation, step: int) -> int:
-        """Takes one step from the evaluated point, or from the best one after a halving. Returns the number of groups
-        whose gradient is zero throughout.
+    def init(self, problem: AttackProblem) -> State:
+        """No point has an objective yet. The first checkpoint compares with none, so the one before it counts as one
+        that halved the step.
         """
-        from services.attacks.differences import clamped
-
-        at = self.layout.flatten(view.perturbation).detach()
-        direction = -self.layout.flatten(view.gradients).sign()
-        at, direction = self._judge(at, direction, view.objective, step)
-        share = 1.0 if step == 0 else MOMENTUM
-        stepped = clamped(problem, (at + self.step_size * self.radius * direction)[None])[0]
-        moved = at + share * (stepped - at) + (1 - share) * (at - self.before)
-        self.before, self.delta = at, clamped(problem, moved[None])[0]
-        return view.n_flat
-
-    def _judge(self, at: Tensor, direction: Tensor, objective: float, step: int) -> tuple[Tensor, Tensor]:
-        """Records the objective of `at`; returns the point to go on from and its direction of descent."""
-        last, best, best_at_checkpoint = self.objectives.tolist()
-        if objective < best:
-            best, self.best, self.best_direction = objective, at, direction
-        if step == 0:
-            best_at_checkpoint = best
-        else:
-            self.since += 1
-            self.improved += objective < last
-        if self.since == self.period:
-            stuck = not self.halved and best_at_checkpoint <= best
-            self.halved = stuck or self.improved <= ENOUGH_RISES * self.period
-            best_at_checkpoint = best
-            self.since, self.improved = 0, 0
-            self.period = max(self.period - self.shorter_by, self.shortest)
-            if self.halved:
-                self.step_size /= 2
-                at, direction = self.best, self.best_direction
-        self.objectives = self.objectives.new_tensor([objective, best, best_at_checkpoint])
-        return at, direction
-
-    def state(self) -> dict[str, Tensor]:
-        """The current, the former and the best point, the best point's direction, objectives, and the schedule."""
-        counts = [self.period, self.since, self.improved, int(self.halved)]
+        delta, numbers = problem.start, problem.start.double()
+        period = max(int(FIRST_PERIOD * self.steps), 1)
         return {
-            "delta": self.delta,
-            "before": self.before,
-            "best": self.best,
-            "best_direction": self.best_direction,
-            "objectives": self.objectives,
-            "step_size": self.objectives.new_tensor(self.step_size),
-            "schedule": self.objectives.new_tensor(counts).long(),
+            "delta": delta,
+            "before": delta,
+            "best": delta,
+            "best_direction": delta,
+            "objectives": numbers.new_full((3,), inf),
+            "step_size": numbers.new_tensor(FIRST_STEP),
+            "schedule": numbers.new_tensor([period, 0, 0, True]).long(),
         }
 
-    def load(self, state: dict[str, Tensor]) -> None:
-        """Continues from `state()`."""
-        self.delta, self.before, self.best = state["delta"], state["before"], state["best"]
-        self.best_direction, self.objectives = state["best_direction"], state["objectives"]
-        self.step_size = float(state["step_size"])
-        self.period, self.since, self.improved, halved = state["schedule"].tolist()
-        self.halved = bool(halved)
+    def step(self, problem: AttackProblem, state: State, evaluation: Evaluation) -> State:
+        """z = P(x − η·ε·sign ∇);  x ← P(x + α·(z − x) + (1 − α)·(x − x before)), with the same η for all groups.
+
+        P projects onto the box, which ε is part of. x is the point that was evaluated, or after a halving the best one.
+        """
+        assert evaluation.gradient is not None
+        clamp = problem.limits.clamp
+        checked = self._checked(state, evaluation, -evaluation.gradient.sign())
+        at, direction = checked.pop("at"), checked.pop("direction")
+        share = 1.0 if evaluation.step == 0 else MOMENTUM
+        radius = problem.layout.spread(self.epsilon).to(at.dtype)
+        stepped = clamp(at + float(checked["step_size"]) * radius * direction)
+        delta = clamp(at + share * (stepped - at) + (1 - share) * (at - state["before"]))
+        return checked | {"delta": delta, "before": at}
+
+    def _checked(self, state: State, evaluation: Evaluation, direction: Tensor) -> State:
+        """Records the objective, and halves the step at a checkpoint if too few steps improved it.
+
+        Returns the best point, its direction of descent and the schedule, and the point `at` to go on from with its
+        `direction`. `objectives` are of the last point, of the best, and of the best at the last checkpoint. The
+        schedule is the number of steps between checkpoints, those since the last, how many of them lowered the
+        objective, and whether the last checkpoint halved the step.
+        """
+        at, objective, step_size = evaluation.delta, evaluation.objective, float(state["step_size"])
+        best, best_direction = state["best"], state["best_direction"]
+        last, least, least_at_checkpoint = state["objectives"].tolist()
+        period, since, improved, halved = state["schedule"].tolist()
+        if objective < least:
+            least, best, best_direction = objective, at, direction
+        if evaluation.step == 0:
+            least_at_checkpoint = least
+        else:
+            since += 1
+            improved += objective < last
+        if since == period:
+            stuck = not halved and least_at_checkpoint <= least
+            halved = stuck or improved <= ENOUGH_RISES * period
+            least_at_checkpoint = least
+            since, improved = 0, 0
+            shortest = max(int(SHORTEST_PERIOD * self.steps), 1)
+            period = max(period - max(int(SHORTER_BY * self.steps), 1), shortest)
+            if halved:
+                step_size /= 2
+                at, direction = best, best_direction
+        return {
+            "at": at,
+            "direction": direction,
+            "best": best,
+            "best_direction": best_direction,
+            "objectives": state["objectives"].new_tensor([objective, least, least_at_checkpoint]),
+            "step_size": state["step_size"].new_tensor(step_size),
+            "schedule": state["schedule"].new_tensor([period, since, improved, halved]),
+        }

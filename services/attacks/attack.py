@@ -1,16 +1,13 @@
-"""The base class of all attacks' settings, the registry of attacks, and the goal of a request; torch-free.
+"""The base class of all attacks, their registry, and the goal of a request. This module does not import torch.
 
-An attack is one file: it derives its settings from `AttackSettings`, writes its method as a class
-(services.attacks.method), and registers both with `@register(Settings)`. The request's union of attacks, the paths of
-errors, openapi.yaml and docs/reference/fields.md follow from the registry. `services.attacks.limits` applies the
-limits that are stated here.
+An attack is one file with one class, which derives from `Attack` and is registered by `@register`. The request's union
+of attacks, the paths of errors, openapi.yaml and docs/reference/fields.md follow from the registry.
 """
 
 import operator
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
 from math import isfinite, sqrt
-from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, TypeVar, get_args, get_origin
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
@@ -22,78 +19,17 @@ from services.scenes.description import Model
 from services.targets.info import LONGEST_LABEL
 from services.text import there_are
 
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from services.attacks.problem import AttackProblem, Evaluation
+
+    State = dict[str, Tensor]
+else:
+    State = dict
+"""What an attack remembers from step to step: tensors by name, among them `delta` [total], its perturbation."""
 Limit = Annotated[float, Field(gt=0, le=MAX_STEP, allow_inf_nan=False)]
 Value = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
-
-
-class Limits(Model):
-    """The limits that every attack's settings have: U, ε, bounds and restarts, and how they go together."""
-
-    truncation: Annotated[int, Field(ge=1, le=255)] | None = Field(
-        None,
-        description="U: largest change of an RGB value from the original inside the loop, in 1/255; null: no limit",
-    )
-    constraint: Literal["truncate", "backtrack", "epsilon"] = Field(
-        "truncate",
-        description="`truncate`: values of the image beyond U are clamped, as in the paper; `backtrack`: after each "
-        "step all parameters are pulled back towards the scene's own until no value is beyond U and p is within "
-        "`perceptibility`, so that image and scene agree; `epsilon`: there is no U, `epsilon` alone limits",
-    )
-    perceptibility: Annotated[float, Field(gt=0, le=sqrt(3), allow_inf_nan=False)] | None = Field(
-        None, description="with `backtrack`: the largest p of the image; null: no limit, U alone limits"
-    )
-    epsilon: dict[str, Limit] = Field(
-        default_factory=dict,
-        description="ε: largest change of a parameter from the scene's own value, by group, in the group's units; a "
-        "group that is left out has no limit, or, with a method that needs one, the limit that its renderer suggests",
-    )
-    bounds: dict[str, tuple[Value, Value]] = Field(
-        default_factory=dict,
-        description="smallest and largest value of the parameters, by group, in the group's units; the scene's own "
-        "values must be within",
-    )
-    restarts: Annotated[int, Field(ge=0, le=100)] = Field(
-        0,
-        description="further starts after an attempt of `steps` steps without success, each at a random point within "
-        "`epsilon`",
-    )
-
-    @model_validator(mode="before")
-    @classmethod
-    def _no_truncation_by_default(cls, data: Any) -> Any:
-        """Leaves out a default U where the request says that ε alone limits, where views or light vary, and through a
-        renderer without gradients: there objects move, and pixels at silhouettes exceed any U at once. Backtracking
-        needs a U, or a largest p.
-        """
-        if not isinstance(data, dict) or "truncation" in data:
-            return data
-        renderer = RENDERERS.get(str(data.get("renderer")))
-        moving = renderer is not None and not renderer.differentiable
-        varying = data.get("expectation") is not None
-        needed = data.get("constraint") == "backtrack" and data.get("perceptibility") is None
-        without = ((moving or varying) and not needed) or data.get("constraint") == "epsilon"
-        return data | {"truncation": None} if without else data
-
-    @model_validator(mode="after")
-    def _limits_agree(self) -> Self:
-        if self.constraint == "backtrack" and self.truncation is None and self.perceptibility is None:
-            raise ValueError(
-                "truncation: `backtrack` keeps every value of the image within U; give U, from 1 to 255, or "
-                "`perceptibility`"
-            )
-        if self.constraint != "backtrack" and self.perceptibility is not None:
-            raise ValueError('perceptibility: only `"constraint": "backtrack"` keeps p within a limit')
-        if self.constraint == "epsilon" and self.truncation is not None:
-            raise ValueError("truncation: with the constraint `epsilon` there is no U; leave it out")
-        for group, (low, high) in self.bounds.items():
-            if low >= high:
-                raise ValueError(f"bounds: those of group {group!r} are {low:g} and {high:g}; the first must be lower")
-        return self
-
-    @property
-    def needs_epsilon(self) -> bool:
-        """Whether each attacked group needs an ε."""
-        return self.constraint == "epsilon" or self.restarts > 0
 
 
 Rate = Annotated[float, Field(ge=0, le=MAX_STEP, allow_inf_nan=False)]
@@ -163,13 +99,48 @@ def _base_renderer_names(schema: dict[str, Any]) -> None:
     schema["anyOf"][0]["enum"] = _base_renderers()
 
 
-class AttackSettings(Limits):
+class Attack(Model):
     """Settings that every method has. Settings left out are filled in, so that the stored spec states all of them.
 
-    A method's settings derive from this class. They add fields, among them `method: Literal["its-name"] = "its-name"`,
-    and may narrow `steps` and `truncation` or give them other defaults.
+    An attack derives from this class: settings are fields, and `init` and `step` are the method. It adds fields, among
+    them `method: Literal["its-name"] = "its-name"`, states `needs_gradient`, and may narrow `steps` and `truncation` or
+    give them other defaults.
     """
 
+    needs_gradient: ClassVar[bool]
+    """Whether `step` reads `evaluation.gradient`: the network's scores must then have gradients; the renderer may have
+    none."""
+    needs_metric: ClassVar[bool] = False
+    """Whether `step` reads `evaluation.metric`, and so measures its steps by the change of the image."""
+
+    truncation: Annotated[int, Field(ge=1, le=255)] | None = Field(
+        None,
+        description="U: largest change of an RGB value from the original inside the loop, in 1/255; null: no limit",
+    )
+    constraint: Literal["truncate", "backtrack", "epsilon"] = Field(
+        "truncate",
+        description="`truncate`: values of the image beyond U are clamped, as in the paper; `backtrack`: after each "
+        "step all parameters are pulled back towards the scene's own until no value is beyond U and p is within "
+        "`perceptibility`, so that image and scene agree; `epsilon`: there is no U, `epsilon` alone limits",
+    )
+    perceptibility: Annotated[float, Field(gt=0, le=sqrt(3), allow_inf_nan=False)] | None = Field(
+        None, description="with `backtrack`: the largest p of the image; null: no limit, U alone limits"
+    )
+    epsilon: dict[str, Limit] = Field(
+        default_factory=dict,
+        description="ε: largest change of a parameter from the scene's own value, by group, in the group's units; a "
+        "group that is left out has no limit, or, with a method that needs one, the limit that its renderer suggests",
+    )
+    bounds: dict[str, tuple[Value, Value]] = Field(
+        default_factory=dict,
+        description="smallest and largest value of the parameters, by group, in the group's units; the scene's own "
+        "values must be within",
+    )
+    restarts: Annotated[int, Field(ge=0, le=100)] = Field(
+        0,
+        description="further starts after an attempt of `steps` steps without success, each at a random point within "
+        "`epsilon`",
+    )
     renderer: str = Field(
         "torch", description="the renderer whose parameters are attacked", json_schema_extra=renderer_names
     )
@@ -204,6 +175,25 @@ class AttackSettings(Limits):
     method: str
     steps: Annotated[int, Field(ge=1, le=100_000)] = Field(500, description="largest number of steps")
 
+    def init(self, problem: "AttackProblem") -> State:
+        """Returns the state with which a start begins: tensors by name, among them `delta` [total], the perturbation to
+        look at first. `problem.start` is zero, or random for a restart. It may measure, which takes images and queries.
+        """
+        raise NotImplementedError
+
+    def step(self, problem: "AttackProblem", state: State, evaluation: "Evaluation") -> State:
+        """Returns the state after a step, given that before it and what `delta` of it looks like to the network.
+
+        Everything that a later step depends on must be in the state: a checkpoint saves nothing else. `delta` must be
+        finite and within `problem.limits`, whose `clamp` keeps it there; the job ends otherwise. A count of estimates
+        below the noise, for the trace, is `below_noise`. Random numbers are drawn from `problem.generator`.
+        """
+        raise NotImplementedError
+
+    def measured(self, problem: "AttackProblem", state: State) -> dict[str, object]:  # noqa: ARG002
+        """The settings that `init` found by measuring, as JSON."""
+        return {}
+
     @property
     def distance_weight(self) -> float:
         """λ: weight of the summed squares of the image's change in the objective of finite differences."""
@@ -213,11 +203,6 @@ class AttackSettings(Limits):
     def objective(self) -> Loss:
         """The loss whose gradient the loop computes, and whose value it gives to the method."""
         return "log-odds"
-
-    @property
-    def needs_metric(self) -> bool:
-        """Whether the method measures its steps by the change of the image (`AttackProblem.needs_metric`)."""
-        return False
 
     @property
     def guide(self) -> str | None:
@@ -233,6 +218,22 @@ class AttackSettings(Limits):
     def complete(cls, data: dict[str, Any]) -> dict[str, Any]:
         """Fills in settings that the method derives from the renderer and the groups. The base class derives none."""
         return data
+
+    @model_validator(mode="before")
+    @classmethod
+    def _no_truncation_by_default(cls, data: Any) -> Any:
+        """Leaves out a default U where the request says that ε alone limits, where views or light vary, and through a
+        renderer without gradients: there objects move, and pixels at silhouettes exceed any U at once. Backtracking
+        needs a U, or a largest p.
+        """
+        if not isinstance(data, dict) or "truncation" in data:
+            return data
+        renderer = RENDERERS.get(str(data.get("renderer")))
+        moving = renderer is not None and not renderer.differentiable
+        varying = data.get("expectation") is not None
+        needed = data.get("constraint") == "backtrack" and data.get("perceptibility") is None
+        without = ((moving or varying) and not needed) or data.get("constraint") == "epsilon"
+        return data | {"truncation": None} if without else data
 
     @model_validator(mode="before")
     @classmethod
@@ -262,6 +263,22 @@ class AttackSettings(Limits):
         return value
 
     @model_validator(mode="after")
+    def _limits_agree(self) -> Self:
+        if self.constraint == "backtrack" and self.truncation is None and self.perceptibility is None:
+            raise ValueError(
+                "truncation: `backtrack` keeps every value of the image within U; give U, from 1 to 255, or "
+                "`perceptibility`"
+            )
+        if self.constraint != "backtrack" and self.perceptibility is not None:
+            raise ValueError('perceptibility: only `"constraint": "backtrack"` keeps p within a limit')
+        if self.constraint == "epsilon" and self.truncation is not None:
+            raise ValueError("truncation: with the constraint `epsilon` there is no U; leave it out")
+        for group, (low, high) in self.bounds.items():
+            if low >= high:
+                raise ValueError(f"bounds: those of group {group!r} are {low:g} and {high:g}; the first must be lower")
+        return self
+
+    @model_validator(mode="after")
     def _consistent(self) -> Self:
         has = RENDERERS[self.renderer]
         if self.base_renderer is not None and has.base_renderer is None:
@@ -275,6 +292,11 @@ class AttackSettings(Limits):
         if self.needs_epsilon:
             self.check_groups("epsilon", self.epsilon)
         return self
+
+    @property
+    def needs_epsilon(self) -> bool:
+        """Whether each attacked group needs an ε."""
+        return self.constraint == "epsilon" or self.restarts > 0
 
     def check_known(self, field: str, given: Iterable[str]) -> None:
         """Raises ValueError unless each group in `given` is attacked."""
@@ -297,7 +319,7 @@ def _one_of(names: list[str], value: str) -> str:
     return value
 
 
-def _completed(settings: type[AttackSettings], given: dict[str, Any]) -> dict[str, Any]:
+def _completed(settings: type[Attack], given: dict[str, Any]) -> dict[str, Any]:
     """The data with renderer, groups and base renderer filled in where they were left out."""
     data = {"renderer": settings.model_fields["renderer"].default} | given
     renderer = RENDERERS.get(data["renderer"]) if isinstance(data["renderer"], str) else None
@@ -314,56 +336,38 @@ def _completed(settings: type[AttackSettings], given: dict[str, Any]) -> dict[st
     return data
 
 
-@dataclass(frozen=True)
-class Attack:
-    """A registered attack."""
+ATTACKS: Registry[type[Attack]] = Registry("method", "services.attacks")
 
-    settings: type[AttackSettings]
-    """The pydantic model of its settings."""
-    method: type[Any]
-    """The class of its method (services.attacks.method.Method), called with the settings and an AttackProblem."""
-    needs_gradient: bool
-    """Whether the method needs gradients, and so a network whose scores have them. The renderer may have none."""
+AnyAttack = TypeVar("AnyAttack", bound=Attack)
 
 
-ATTACKS: Registry[Attack] = Registry("method", "services.attacks")
+def register(attack: type[AnyAttack]) -> type[AnyAttack]:
+    """A class decorator that registers an attack under the name in its field `method`.
 
-MethodClass = TypeVar("MethodClass", bound=type[Any])
-
-
-def register(settings: type[AttackSettings]) -> Callable[[MethodClass], MethodClass]:
-    """Returns a class decorator that registers a method under the name in the field `method` of its settings.
-
-    Raises ValueError if the settings do not derive from `AttackSettings`, if that field is not a `Literal` of one name,
-    if that name or the settings' class name is taken, if a default is not finite, or if the class lacks a part of the
-    protocol. Raises pydantic's errors if the settings have no JSON schema.
+    Raises ValueError if the class does not derive from `Attack`, if that field is not a `Literal` of one name, if that
+    name or the class's is taken, if a default is not finite, or if the class lacks `needs_gradient`, `init` or `step`.
+    Raises pydantic's errors if the settings have no JSON schema.
     """
-    if not issubclass(settings, AttackSettings):
-        raise ValueError(f"{settings.__name__} does not derive from AttackSettings")
-    settings.model_json_schema()
-    annotation = settings.model_fields["method"].annotation
+    if not issubclass(attack, Attack):
+        raise ValueError(f"{attack.__name__} does not derive from Attack")
+    attack.model_json_schema()
+    annotation = attack.model_fields["method"].annotation
     if get_origin(annotation) is not Literal or len(get_args(annotation)) != 1:
-        raise ValueError(f'{settings.__name__} needs a field method: Literal["its-name"] = "its-name"')
+        raise ValueError(f'{attack.__name__} needs a field method: Literal["its-name"] = "its-name"')
     (name,) = get_args(annotation)
-    for field, about in settings.model_fields.items():
+    for field, about in attack.model_fields.items():
         if isinstance(about.default, float) and not isfinite(about.default):
             raise ValueError(f"the default of {field} is {about.default}, which no request can state")
-
-    def decorate(method: MethodClass) -> MethodClass:
-        parts = ("needs_gradient", "start", "advance", "state", "load")
-        missing = [part for part in parts if not hasattr(method, part)]
-        if missing:
-            raise ValueError(f"{method.__name__} has no {' and no '.join(missing)}")
-        if not isinstance(method.needs_gradient, bool):
-            raise ValueError(
-                f"{method.__name__}.needs_gradient is a {type(method.needs_gradient).__name__}, not a bool"
-            )
-        if name not in ATTACKS and any(one.settings.__name__ == settings.__name__ for one in ATTACKS.values()):
-            raise ValueError(f"there are settings {settings.__name__} already; openapi.yaml calls them by their class")
-        ATTACKS.add(name, Attack(settings, method, method.needs_gradient))
-        return method
-
-    return decorate
+    missing = [part for part in ("init", "step") if getattr(attack, part) is getattr(Attack, part)]
+    if missing:
+        raise ValueError(f"{attack.__name__} has no {' and no '.join(missing)}")
+    if not isinstance(getattr(attack, "needs_gradient", None), bool):
+        raise ValueError(f"{attack.__name__}.needs_gradient is no bool; state it as a ClassVar[bool]")
+    others = ATTACKS.so_far()
+    if name not in others and any(one.__name__ == attack.__name__ for one in others.values()):
+        raise ValueError(f"there is an attack {attack.__name__} already; openapi.yaml calls them by their class")
+    ATTACKS.add(name, attack)
+    return attack
 
 
 HALF_STEP = 1 / 16
@@ -409,7 +413,7 @@ def _scaled(group: Group, share: float) -> float | None:
     return share * max(STEPS_OF_SCALE * group.suggested_step, group.suggested_limit or 0.0)
 
 
-class SuggestedRates(AttackSettings):
+class SuggestedRates(Attack):
     """Settings of a method with a learning rate for each attacked group, by default the step its renderer suggests."""
 
     learning_rate: dict[str, Rate] = Field(default_factory=dict)
@@ -425,7 +429,7 @@ class SuggestedRates(AttackSettings):
         return self
 
 
-class SearchWithinLimits(AttackSettings):
+class SearchWithinLimits(Attack):
     """Settings of a search that needs a limit: U, p, or an ε of each group, which its renderer suggests."""
 
     epsilon: dict[str, Limit] = Field(

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from math import inf
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
 from services.attacks.attack import Limit, SearchWithinLimits, in_scale, register
 
 if TYPE_CHECKING:
-    from torch import Tensor
-
+    from services.attacks.attack import State
     from services.attacks.problem import AttackProblem, Evaluation
-    from services.rendering.protocol import Parameters
 
 LARGEST_COVARIANCE = 200
 """Attacks on more coordinates learn a diagonal covariance (separable CMA-ES): a full one needs about the square of the
@@ -24,12 +23,14 @@ SPREAD = 1 / 3
 """The default first standard deviation, as a share of a group's scale: three of them end at an ε."""
 
 
+@register
 class CmaEs(SearchWithinLimits):
     """Covariance matrix adaptation (Hansen 2016): each step draws a population around the mean, asks the network for
     each member, and moves mean and covariance towards the better half. It needs scores only.
     """
 
     method: Literal["cma-es"] = "cma-es"
+    needs_gradient: ClassVar[bool] = False
     steps: Annotated[int, Field(ge=1, le=10_000)] = Field(100, description="largest number of generations")
     population: Annotated[int, Field(ge=4, le=4096)] | None = Field(
         None, description="members of a generation; null: 4 + 3·ln(number of coordinates), rounded down"
@@ -50,102 +51,73 @@ class CmaEs(SearchWithinLimits):
         self.check_groups("spread", self.spread)
         return self
 
+    def init(self, problem: AttackProblem) -> State:
+        """The best member has no objective yet."""
+        objective = problem.start.double().new_tensor(inf)
+        return {"delta": problem.start, "objective": objective} | _saved(self._optimiser(problem))
 
-@register(CmaEs)
-class CmaEsMethod:
-    """The perturbation is the best member so far. Coordinates are divided by their group's spread.
+    def measured(self, problem: AttackProblem, state: State) -> dict[str, object]:  # noqa: ARG002
+        """The size of the population and whether the covariance is diagonal."""
+        covariance = "diagonal" if problem.layout.total > LARGEST_COVARIANCE else "full"
+        return {"population": self._optimiser(problem).population_size, "covariance": covariance}
 
-    Between steps the optimiser exists only as the tensors of `state()`: each step restores it, with random numbers
-    derived from the seed and the step, so an attack that goes on and one that is resumed do the same.
-    """
+    def step(self, problem: AttackProblem, state: State, evaluation: Evaluation) -> State:
+        """Runs one generation; `delta` is its best member so far.
 
-    needs_gradient = False
-
-    def __init__(self, settings: CmaEs, problem: AttackProblem) -> None:
-        import torch
-
-        self.settings = settings
-        self.layout = problem.layout
-        self.best = self.layout.flatten(problem.beginning)
-        self.best_objective = torch.tensor(torch.inf, dtype=torch.float64)
-        self.spread = self.layout.spread(settings.spread)
-        self.begin = (self.best.double() / self.spread).numpy()
-        far = torch.full_like(self.best, torch.inf)
-        sides = [self.layout.flatten(problem.clamp(self.layout.unflatten(end))) for end in (-far, far)]
-        self.bounds = torch.stack([side.double() / self.spread for side in sides], dim=1).numpy()
-        self.optimiser = _saved(self._new())
-
-    @property
-    def perturbation(self) -> Parameters:
-        """The best perturbation so far, by group."""
-        return self.layout.unflatten(self.best)
-
-    def start(self, problem: AttackProblem) -> dict[str, object]:  # noqa: ARG002 - nothing to measure
-        """Returns the size of the population and whether the covariance is diagonal."""
-        optimiser = self._new()
-        return {"population": optimiser.population_size, "covariance": "diagonal" if self._diagonal else "full"}
-
-    def advance(self, problem: AttackProblem, view: Evaluation, step: int) -> int:  # noqa: ARG002
-        """Runs one generation. Returns 0: no difference is taken."""
+        Between steps the optimiser exists only as the tensors of the state: each step restores it, with random numbers
+        derived from the seed and the step, so an attack that goes on and one that is resumed do the same.
+        """
         import numpy as np
         import torch
 
-        from services.attacks.differences import clamped, evaluate
         from services.attacks.seeds import derived
 
-        optimiser = self._new()
-        _restore(optimiser, self.optimiser)
-        optimiser.reseed_rng(derived(problem.seed, "cma-es", step) % 2**32)
+        optimiser = self._optimiser(problem)
+        _restore(optimiser, state)
+        optimiser.reseed_rng(derived(problem.seed, "cma-es", evaluation.step) % 2**32)
         drawn = [optimiser.ask() for _ in range(optimiser.population_size)]
-        moved = torch.from_numpy(np.stack(drawn)) * self.spread
-        members = problem.feasible(clamped(problem, moved.to(self.best.dtype)))
-        objectives = evaluate(problem, members)
+        moved = torch.from_numpy(np.stack(drawn)) * problem.layout.spread(self.spread)
+        members = problem.feasible(problem.limits.clamp(moved.to(state["delta"].dtype)))
+        objectives = problem.objectives(members, evaluation.step)
         optimiser.tell(list(zip(drawn, objectives.tolist(), strict=True)))
-        self.optimiser = _saved(optimiser)
+        best = {"delta": state["delta"], "objective": state["objective"]}
         winner = int(objectives.argmin())
-        if objectives[winner] < self.best_objective:
-            self.best, self.best_objective = members[winner], objectives[winner]
-        return 0
+        if objectives[winner] < best["objective"]:
+            best = {"delta": members[winner], "objective": objectives[winner]}
+        return best | _saved(optimiser)
 
-    def state(self) -> dict[str, Tensor]:
-        """The best member and its objective, and the optimiser's mean, covariance, paths, step size and generation."""
-        optimiser = {f"optimiser.{name}": value for name, value in self.optimiser.items()}
-        return {"best": self.best, "best_objective": self.best_objective} | optimiser
-
-    def load(self, state: dict[str, Tensor]) -> None:
-        """Continues from `state()`."""
-        self.best, self.best_objective = state["best"], state["best_objective"]
-        self.optimiser = {n.removeprefix("optimiser."): v for n, v in state.items() if n.startswith("optimiser.")}
-
-    @property
-    def _diagonal(self) -> bool:
-        return self.layout.total > LARGEST_COVARIANCE
-
-    def _new(self) -> Any:
+    def _optimiser(self, problem: AttackProblem) -> Any:
+        """The package's optimiser before its first generation, around the start. Coordinates are divided by the spread
+        of their group.
+        """
+        import numpy as np
         from cmaes import CMA, SepCMA
 
-        kind = SepCMA if self._diagonal else CMA
+        kind = SepCMA if problem.layout.total > LARGEST_COVARIANCE else CMA
+        spread = problem.layout.spread(self.spread)
+        sides = [side.double() / spread for side in (problem.limits.low, problem.limits.high)]
         return kind(
-            mean=self.begin.copy(),
+            mean=(problem.start.double() / spread).numpy(),
             sigma=1.0,
-            bounds=self.bounds,
+            bounds=np.stack(sides, axis=1),
             n_max_resampling=DRAWS,
             seed=0,
-            population_size=self.settings.population,
+            population_size=self.population,
         )
 
 
-def _saved(optimiser: Any) -> dict[str, Tensor]:
+def _saved(optimiser: Any) -> State:
     """The numbers and arrays of an optimiser's state, as it gives them to any serialiser; its generator is not part."""
     import numpy as np
     import torch
 
     numbers = (np.ndarray, np.number, float, int)
     state = optimiser.__getstate__()
-    return {name: torch.as_tensor(value) for name, value in state.items() if isinstance(value, numbers)}
+    return {f"optimiser.{n}": torch.as_tensor(value) for n, value in state.items() if isinstance(value, numbers)}
 
 
-def _restore(optimiser: Any, saved: dict[str, Tensor]) -> None:
+def _restore(optimiser: Any, state: State) -> None:
     """Puts an optimiser of the same arguments into a state that `_saved` returned."""
+    saved = {n.removeprefix("optimiser."): value for n, value in state.items() if n.startswith("optimiser.")}
     values = {name: value.numpy().copy() if value.ndim else value.item() for name, value in saved.items()}
     optimiser.__setstate__(optimiser.__getstate__() | values)

@@ -7,44 +7,18 @@ back.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
-from services.attacks.differences import clamped, per_batch
-from services.attacks.limits import Constraint, fixed, projected
 from services.attacks.problem import AttackProblem
-from services.attacks.seeds import generator
-from services.rendering.protocol import Parameters
+from services.rendering.plan import Item, Plan
 
 SHARE = 0.01
 """Largest change of the advantage, as a share of it, that coordinates which are left out may make together."""
 DRAWS = 8
 """Random signs at which they are moved together."""
-
-
-@dataclass(frozen=True)
-class LeftOut:
-    """A constraint that also fixes the coordinates that are left out; implements `Constraint`."""
-
-    inner: Constraint | None
-    masks: Mapping[str, Tensor]
-    """The coordinates left out, bool of the shape of each attacked group."""
-
-    @property
-    def fixed(self) -> Mapping[str, Tensor]:
-        """The coordinates that either fixes."""
-        own = {} if self.inner is None else self.inner.fixed
-        return {group: mask | own[group] if group in own else mask for group, mask in self.masks.items()}
-
-    def holds(self, perturbation: Parameters) -> bool:
-        """Whether the inner constraint allows a perturbation."""
-        return self.inner is None or self.inner.holds(perturbation)
-
-    def project(self, perturbation: Parameters) -> Parameters:
-        """Projects to the inner constraint."""
-        return perturbation if self.inner is None else self.inner.project(perturbation)
 
 
 @dataclass(frozen=True)
@@ -59,6 +33,73 @@ class Effects:
     together: float
 
 
+@dataclass(frozen=True)
+class LeftOut:
+    """The effects of a problem's coordinates, for its result and its plan."""
+
+    change: Mapping[str, float]
+    """How far each was moved, by group."""
+    effects: Effects
+    names: tuple[str, ...]
+    """The name of each coordinate."""
+    problem: AttackProblem
+    """The problem of which they were measured; what its constraint fixes was not measured."""
+
+    @property
+    def settings(self) -> dict[str, object]:
+        """What was measured, as JSON: the advantage, the effect of each coordinate, and what is left out."""
+        return {
+            "advantage": self.effects.advantage,
+            "effects": {self.names[k]: float(self.effects.alone[k]) for k in self._measured()},
+            "left_out": self._named(self._measured()),
+            "together": self.effects.together,
+        }
+
+    def in_plan(self, plan: Plan) -> Plan:
+        """Returns the plan with a line for each group that was measured."""
+        items = []
+        for group, change in self.change.items():
+            measured = self._measured(group)
+            left = self._named(measured)
+            items.append(
+                Item(
+                    part=group,
+                    what="coordinates that reach the answer",
+                    kept=len(measured) - len(left),
+                    of=len(measured),
+                    why=f"each was moved by ±{change:g}; those left out change the answer's advantage of "
+                    f"{self.effects.advantage:.3g} by {self.effects.together:.2g} together: "
+                    f"{', '.join(left) or 'none is left out'}",
+                )
+            )
+        return plan.model_copy(update={"items": (*plan.items, *items)})
+
+    def _measured(self, group: str | None = None) -> list[int]:
+        """The coordinates that were measured, of one group or of all."""
+        layout, fixed = self.problem.layout, self.problem.limits.fixed
+        groups = [layout.group_of(k) for k in range(layout.total)]
+        return [k for k, own in enumerate(groups) if own in self.change and group in (None, own) and not fixed[k]]
+
+    def _named(self, coordinates: list[int]) -> list[str]:
+        """The names of those of the coordinates that are left out."""
+        return [self.names[k] for k in coordinates if self.effects.left_out[k]]
+
+
+def leave_out(
+    problem: AttackProblem, change: Mapping[str, float], report: Callable[[int, int], None]
+) -> tuple[AttackProblem, LeftOut | None]:
+    """Measures the coordinates of the groups in `change`; returns the problem without those that hardly count.
+
+    The problem itself and None if there is nothing to measure. `report` is told the number of images done, and of all.
+    """
+    if not change:
+        return problem, None
+    effects, layout, renderer = measure(problem, change, report), problem.layout, problem.renderer
+    names = [name for g in layout.groups for name in renderer.names(g) or [g] * layout.shapes[g].numel()]
+    without = replace(problem, limits=problem.limits.fixing(effects.left_out))
+    return without, LeftOut(change, effects, tuple(names), problem)
+
+
 @torch.no_grad()
 def measure(
     problem: AttackProblem, change: Mapping[str, float], report: Callable[[int, int], None] = lambda _, __: None
@@ -68,11 +109,9 @@ def measure(
     Two images and queries for each coordinate that the constraint does not fix, and DRAWS or more in addition.
     `report` is told the number of the former that are done, and of all.
     """
-    layout = problem.layout
+    layout, nothing = problem.layout, problem.nothing
     moves = layout.spread({group: change.get(group, 0.0) for group in layout.groups})
-    free = (moves > 0) & ~fixed(problem.constraint, layout)
-    candidates = free.nonzero()[:, 0]
-    nothing = layout.flatten(problem.nothing())
+    candidates = ((moves > 0) & ~problem.limits.fixed).nonzero()[:, 0]
     sides = torch.zeros(2 * len(candidates), layout.total, dtype=torch.float64)
     rows = torch.arange(len(candidates))
     sides[2 * rows, candidates] = moves[candidates]
@@ -84,8 +123,7 @@ def measure(
     limit = SHARE * max(0.0, float(start))
     order = candidates[alone[candidates].argsort(stable=True)]
     chosen = order[alone[order].cumsum(0) <= limit][: max(0, len(order) - 1)]  # something must be left to search
-    signs = 2.0 * torch.randint(0, 2, (DRAWS, layout.total), generator=generator(problem.seed, "leave out")) - 1
-    together = 0.0
+    signs = 2.0 * torch.randint(0, 2, (DRAWS, layout.total), generator=problem.generator("leave out")) - 1
     while len(chosen):
         mask = torch.zeros(layout.total, dtype=torch.bool)
         mask[chosen] = True
@@ -97,24 +135,17 @@ def measure(
     return Effects(float(start), alone, torch.zeros(layout.total, dtype=torch.bool), 0.0)
 
 
-def without(problem: AttackProblem, left_out: Tensor) -> LeftOut:
-    """Returns the problem's constraint with the coordinates of a mask [total] fixed."""
-    return LeftOut(problem.constraint, problem.layout.unflatten(left_out))
-
-
-def _within(problem: AttackProblem, vectors: Tensor) -> Tensor:
+def _within(problem: AttackProblem, deltas: Tensor) -> Tensor:
     """Moves [B, total] from the scene as it is, clamped and projected to the constraint."""
-    return projected(problem.constraint, problem.layout, clamped(problem, vectors))
+    return problem.limits.project(problem.limits.clamp(deltas))
 
 
 def _advantages(
-    problem: AttackProblem, vectors: Tensor, report: Callable[[int, int], None] = lambda _, __: None
+    problem: AttackProblem, deltas: Tensor, report: Callable[[int, int], None] = lambda _, __: None
 ) -> Tensor:
     """The advantage of the present answer at perturbations [B, total], float64 [B] on the CPU."""
-    start = problem.layout.flatten(problem.initial)
-    found = []
-    for chunk in torch.split(vectors, per_batch(problem)):
-        images = problem.render(problem.layout.unflatten(start + chunk))
-        found.append(problem.goal.advantage(problem.logits(images)).double().cpu())
-        report(sum(map(len, found)), len(vectors))
-    return torch.cat(found)
+    advantages: list[Tensor] = []
+    for chunk in torch.split(deltas, problem.per_batch):
+        advantages.append(problem.advantages(problem.render(chunk)).cpu())
+        report(sum(map(len, advantages)), len(deltas))
+    return torch.cat(advantages)

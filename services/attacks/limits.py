@@ -1,13 +1,13 @@
-"""The perturbations that an attack may use: bounds by group, random starts within them, constraints, backtracking to U.
+"""The perturbations that an attack may use: bounds, a scene's constraint, U, and backtracking; and their vectors.
 
-A method sees one box for each group (`AttackProblem.bounds`), the intersection of the renderer's physical bounds, the
-request's `bounds` and ε. `AttackProblem.clamp` projects onto it, so no method knows which limit it was. `Layout` makes
-one vector of all groups.
+A perturbation is one vector of the changes of all attacked groups (`Layout`). An attack sees one box: the intersection
+of the renderer's physical bounds, the request's `bounds` and ε. `Limits.clamp` projects onto it, so no attack knows
+which limit it was.
 """
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
-from math import inf, log
+from dataclasses import dataclass, replace
+from math import log
 from typing import Protocol
 
 import torch
@@ -17,10 +17,28 @@ from services.attacks.seeds import generator
 from services.errors import InvalidRequest
 from services.rendering.protocol import BOUND_SLACK, Parameters
 
+MAX_TRIES = 8
+"""Largest number of scales that backtracking tries; two are usual."""
+SLACK = 0.04
+"""Backtracking is content with this share less than the limit."""
+AIM = 1 - SLACK / 2
+SMALLEST_STEP = 0.05
+"""Smallest step of backtracking, as a share of the interval between a factor within the limit and one beyond."""
+LEAST_POWER, MOST_POWER = 0.25, 4.0
+"""Range of the exponent by which the change of an image grows with the perturbation."""
+BACKTRACK_MARGIN = 0.5 / 255
+"""Backtracking keeps this distance from U: the plan's error may take the exact image as far from the loop's."""
+P_MARGIN = 0.01
+"""Backtracking keeps p below its limit by this share, for the same reason."""
+EDGE = 0.05
+"""Share of ε within which a value counts as at it: a search by random draws ends near ε, hardly ever on it."""
+ROUNDING = 1e-6
+"""Tolerance of the comparison with U: float32 sums of k/255 are off by less, and a change of exactly U is allowed."""
+
 
 @dataclass(frozen=True)
 class Layout:
-    """The position of each group's coordinates in a vector of length `total`."""
+    """The position of each group's coordinates in a vector of length `total`, group after group."""
 
     groups: tuple[str, ...]
     shapes: dict[str, torch.Size]
@@ -56,37 +74,16 @@ class Layout:
             for g in self.groups
         }
 
-    def spread(self, by_group: Mapping[str, float]) -> Tensor:
-        """A vector, float64 [total], in which every coordinate has its group's value."""
-        return torch.cat([torch.full((self.shapes[g].numel(),), by_group[g], dtype=torch.float64) for g in self.groups])
+    def spread(self, by_group: float | Mapping[str, float]) -> Tensor:
+        """A vector, float64 [total], in which every coordinate has its group's value, or the one value of all."""
+        values = by_group if isinstance(by_group, Mapping) else dict.fromkeys(self.groups, by_group)
+        return torch.cat([torch.full((self.shapes[g].numel(),), values[g], dtype=torch.float64) for g in self.groups])
 
     def mask(self, coordinates: Iterable[tuple[str, int]]) -> Tensor:
         """A mask, bool [total], that is true at the given (group, flat index within the group)."""
-        found = torch.zeros(self.total, dtype=torch.bool)
-        found[[self.starts[group] + index for group, index in coordinates]] = True
-        return found
-
-
-Box = tuple[Tensor, Tensor]
-"""Smallest and largest perturbation of a group, broadcastable to it."""
-
-TRIES = 8
-"""Scales that backtracking tries at most; two are usual."""
-SLACK = 0.04
-"""Backtracking is content with this share less than the limit."""
-AIM = 1 - SLACK / 2
-TINY = 0.05
-"""Least part of the interval between a factor within and one beyond by which backtracking goes on."""
-LEAST_POWER, MOST_POWER = 0.25, 4.0
-"""Range of the exponent by which the change of an image grows with the perturbation."""
-BACKTRACK_MARGIN = 0.5 / 255
-"""Backtracking keeps this distance from U: the plan's error may take the exact image as far from the loop's."""
-P_MARGIN = 0.01
-"""Backtracking keeps p below its limit by this share, for the same reason."""
-EDGE = 0.05
-"""Share of ε within which a value counts as at it: a search by random draws ends near ε, hardly ever on it."""
-ROUNDING = 1e-6
-"""Tolerance of the comparison with U: float32 sums of k/255 are off by less, and a change of exactly U is allowed."""
+        mask = torch.zeros(self.total, dtype=torch.bool)
+        mask[[self.starts[group] + index for group, index in coordinates]] = True
+        return mask
 
 
 class Constraint(Protocol):
@@ -106,52 +103,106 @@ class Constraint(Protocol):
         ...
 
 
-def held(bounds: Mapping[str, Box], constraint: Constraint | None) -> dict[str, Box]:
-    """Returns bounds in which the coordinates that a constraint fixes are at 0."""
-    found = dict(bounds)
-    for group, mask in ({} if constraint is None else constraint.fixed).items():
-        if bool(mask.any()):
-            low, high = found.get(group, (torch.tensor(-inf), torch.tensor(inf)))
-            zero = torch.zeros((), dtype=low.dtype)
-            found[group] = (torch.where(mask, zero, low), torch.where(mask, zero, high))
-    return found
+@dataclass(frozen=True)
+class Limits:
+    """What a perturbation [total] may be: within a box, as the scene's constraint allows, and its image near the
+    original.
+    """
+
+    layout: Layout
+    low: Tensor
+    """Smallest change of each coordinate [total]; -inf where there is no limit, 0 where it is fixed."""
+    high: Tensor
+    """Largest change of each coordinate [total], likewise."""
+    fixed: Tensor
+    """Coordinates that stay as they are, bool [total]: the constraint's, and those left out of the search."""
+    epsilon: Mapping[str, float]
+    """The request's ε of each group that has one; the box is within it."""
+    truncation: float | None = None
+    """U in [0,1], to which images are truncated; None: they are not."""
+    backtrack: float | None = None
+    """U in [0,1], to which perturbations are pulled back; None: they are not."""
+    perceptibility: float | None = None
+    """Largest p of an image, to which perturbations are pulled back; None: no limit."""
+    constraint: Constraint | None = None
+    """What the scene allows; None: everything."""
+
+    @classmethod
+    def of(
+        cls,
+        initial: Mapping[str, Tensor],
+        physical: Mapping[str, tuple[Tensor, Tensor]],
+        *,
+        bounds: Mapping[str, tuple[float, float]] | None = None,
+        epsilon: Mapping[str, float] | None = None,
+        constraint: Constraint | None = None,
+        **others: float | None,
+    ) -> "Limits":
+        """The limits of the attacked groups, whose values are `initial`; `physical` and the rest as for `box`."""
+        layout = Layout.of(initial)
+        low, high = box(initial, physical, bounds or {}, epsilon or {})
+        masks = {} if constraint is None else constraint.fixed
+        free = {group: torch.zeros(shape, dtype=torch.bool) for group, shape in layout.shapes.items()}
+        limits = cls(layout, low, high, layout.zeros(torch.bool), epsilon or {}, constraint=constraint, **others)
+        return limits.fixing(layout.flatten(free | dict(masks)))
+
+    def fixing(self, coordinates: Tensor) -> "Limits":
+        """The same limits with further coordinates fixed, a mask, bool [total]."""
+        low, high = self.low.masked_fill(coordinates, 0.0), self.high.masked_fill(coordinates, 0.0)
+        return replace(self, low=low, high=high, fixed=self.fixed | coordinates)
+
+    @property
+    def backtracks(self) -> bool:
+        """Whether perturbations are pulled back until their image is near the original."""
+        return self.backtrack is not None or self.perceptibility is not None
+
+    def clamp(self, deltas: Tensor) -> Tensor:
+        """Perturbations [..., total], clamped to the box."""
+        return deltas.clamp(self.low, self.high)
+
+    def moved(self, delta: Tensor, changes: Tensor) -> Tensor:
+        """The perturbation `delta` [total] moved by each of `changes`, float64 [..., total], and clamped."""
+        return self.clamp((delta.double() + changes).to(delta.dtype))
+
+    def project(self, deltas: Tensor) -> Tensor:
+        """Perturbations [B, total] projected to the constraint."""
+        if self.constraint is None:
+            return deltas
+        allowed = [self.constraint.project(self.layout.unflatten(delta.detach())) for delta in deltas]
+        return torch.stack([self.layout.flatten(one) for one in allowed])
+
+    def holds(self, delta: Tensor) -> bool:
+        """Whether the constraint allows a perturbation [total]."""
+        return self.constraint is None or self.constraint.holds(self.layout.unflatten(delta))
+
+    def allowed(self, deltas: Tensor, instead: Tensor) -> Tensor:
+        """Perturbations [B, total], with `instead` [total] in place of those that the constraint does not allow."""
+        if self.constraint is None:
+            return deltas
+        return torch.stack([delta if self.holds(delta) else instead.to(delta.dtype) for delta in deltas])
+
+    def truncate(self, images: Tensor, original: Tensor) -> tuple[Tensor, Tensor]:
+        """Images truncated to U around the original, and the mask of the truncated pixels; see `truncate`."""
+        return truncate(images, original, self.truncation)
+
+    def reached(self, image: Tensor, original: Tensor) -> float:
+        """The part of the limits of backtracking that an image takes; see `reached`."""
+        return reached(image, original, self.backtrack, self.perceptibility)
 
 
-def fixed(constraint: Constraint | None, layout: Layout) -> Tensor:
-    """Returns a mask, bool [total], of the coordinates that a constraint fixes."""
-    masks = {} if constraint is None else constraint.fixed
-    of_groups = [masks.get(group, torch.zeros(layout.shapes[group], dtype=torch.bool)) for group in layout.groups]
-    return torch.cat([mask.flatten() for mask in of_groups])
-
-
-def projected(constraint: Constraint | None, layout: Layout, vectors: Tensor) -> Tensor:
-    """Returns perturbations [B, total] projected to a constraint."""
-    if constraint is None:
-        return vectors
-    found = [constraint.project(layout.unflatten(vector.detach())) for vector in vectors]
-    return torch.stack([layout.flatten(one) for one in found])
-
-
-def allowed(constraint: Constraint | None, layout: Layout, vectors: Tensor, instead: Tensor) -> Tensor:
-    """Returns perturbations [B, total], with `instead` [total] in place of those that a constraint does not allow."""
-    if constraint is None:
-        return vectors
-    return torch.stack([one if constraint.holds(layout.unflatten(one)) else instead.to(one.dtype) for one in vectors])
-
-
-def perturbation_bounds(
+def box(
     initial: Mapping[str, Tensor],
-    physical: Mapping[str, Box],
+    physical: Mapping[str, tuple[Tensor, Tensor]],
     bounds: Mapping[str, tuple[float, float]],
     epsilon: Mapping[str, float],
-) -> dict[str, Box]:
-    """Smallest and largest perturbation of each group that has any limit.
+) -> tuple[Tensor, Tensor]:
+    """Smallest and largest change of each coordinate, [total] each; infinite where there is no limit.
 
     `initial` are the attacked groups' values, `physical` the renderer's bounds of the values, `bounds` the request's,
     and `epsilon` the largest change, each by group. Raises InvalidRequest("attack.bounds.<group>") if the request's
     bounds exclude a value of `initial`.
     """
-    found = {}
+    lows, highs = [], []
     for group, value in initial.items():
         low, high = (bound.to(value.dtype) - value for bound in physical[group])
         if group in bounds:
@@ -161,14 +212,9 @@ def perturbation_bounds(
             low, high = low.clamp_max(0.0), high.clamp_min(0.0)
         if group in epsilon:
             low, high = low.clamp_min(-epsilon[group]), high.clamp_max(epsilon[group])
-        if not bool(low.isinf().all() and high.isinf().all()):
-            found[group] = (low, high)
-    return found
-
-
-def at_epsilon(perturbation: Mapping[str, Tensor], epsilon: Mapping[str, float]) -> dict[str, Tensor]:
-    """Which values of each group that has an ε are at it, within `EDGE`: bool, of the shape of the group."""
-    return {group: perturbation[group].abs() >= (1 - EDGE) * limit for group, limit in epsilon.items()}
+        lows.append(low.flatten())
+        highs.append(high.flatten())
+    return torch.cat(lows), torch.cat(highs)
 
 
 def _check_start(group: str, value: Tensor, bounds: tuple[float, float]) -> None:
@@ -182,44 +228,66 @@ def _check_start(group: str, value: Tensor, bounds: tuple[float, float]) -> None
         )
 
 
-def random_start(initial: Mapping[str, Tensor], bounds: Mapping[str, Box], seed: int, restart: int) -> Parameters:
-    """A uniformly random perturbation within `bounds`, which are finite for each group of `initial`."""
-    start = {}
-    for group, value in initial.items():
-        low, high = bounds[group]
-        share = torch.rand(value.shape, generator=generator(seed, "start", group, restart), dtype=torch.float64)
-        start[group] = (low + (high - low) * share).to(value.dtype)
-    return start
+def random_start(limits: Limits, seed: int, restart: int) -> Tensor:
+    """A uniformly random perturbation [total] within a box that is finite."""
+    layout = limits.layout
+    shares = [
+        torch.rand(layout.shapes[g].numel(), generator=generator(seed, "start", g, restart), dtype=torch.float64)
+        for g in layout.groups
+    ]
+    return (limits.low + (limits.high - limits.low) * torch.cat(shares)).to(limits.low.dtype)
 
 
-def pulled_back(reach: Callable[[Tensor], float], vectors: Tensor) -> Tensor:
-    """Scales each perturbation of `vectors` [B, total] back until its reach is 1 at most, and close to it.
+def at_epsilon(perturbation: Mapping[str, Tensor], epsilon: Mapping[str, float]) -> dict[str, Tensor]:
+    """Which values of each group that has an ε are at it, within `EDGE`: bool, of the shape of the group."""
+    return {group: perturbation[group].abs() >= (1 - EDGE) * limit for group, limit in epsilon.items()}
+
+
+def truncate(images: Tensor, original: Tensor, limit: float | None) -> tuple[Tensor, Tensor]:
+    """Clamps RGB values to within `limit` of the original. Returns the images and the mask of changed pixels.
+
+    `images` and `original` are [1, H, W, 3] in [0,1]; `limit` is in [0,1], or None for no limit; the mask is bool
+    [H, W]. A clamped value passes no gradient (paper, section 3.3).
+    """
+    nowhere = torch.zeros(images.shape[1:3], dtype=torch.bool, device=images.device)
+    if limit is None:
+        return images, nowhere
+    change = images.detach() - original
+    low, high = torch.aminmax(change)
+    if max(-float(low), float(high)) <= limit + ROUNDING:
+        return images, nowhere
+    beyond = (change.abs_().amax(dim=-1) > limit + ROUNDING)[0]
+    return images.clamp(original - limit, original + limit), beyond
+
+
+def pulled_back(reach: Callable[[Tensor], float], deltas: Tensor) -> Tensor:
+    """Scales each perturbation of `deltas` [B, total] back until its reach is 1 at most, and close to it.
 
     `reach` maps a perturbation [total] to the part of the limit that its image takes: 0 for the zero vector, above 1
-    beyond the limit. Vectors within it are returned as they are.
+    beyond the limit. Perturbations within it are returned as they are.
     """
-    return torch.stack([_scale(reach, vector) * vector for vector in vectors])
+    return torch.stack([_scale(reach, delta) * delta for delta in deltas])
 
 
-def _scale(reach: Callable[[Tensor], float], vector: Tensor) -> float:
-    """A factor in [0, 1] at which the reach is between 1 − `SLACK` and 1; the largest found to be within after `TRIES`.
+def _scale(reach: Callable[[Tensor], float], delta: Tensor) -> float:
+    """A factor in [0, 1] at which the reach is between 1 − `SLACK` and 1; after `MAX_TRIES` the largest within.
 
     Changes of colour grow with the factor, those of moving silhouettes with its root. So the reach is taken as a power
     of the factor, whose exponent is that between the last two factors.
     """
-    low, high, at_high, power = 0.0, 1.0, reach(vector), 1.0
+    low, high, at_high, power = 0.0, 1.0, reach(delta), 1.0
     if at_high <= 1:
         return 1.0
-    for _ in range(TRIES):
-        tried = max(low + TINY * (high - low), high * (AIM / at_high) ** (1 / power))
-        found = reach(tried * vector)
-        if 0 < found < at_high:
-            power = min(max(log(at_high / found) / log(high / tried), LEAST_POWER), MOST_POWER)
-        if found > 1:
-            high, at_high = tried, found
+    for _ in range(MAX_TRIES):
+        tried = max(low + SMALLEST_STEP * (high - low), high * (AIM / at_high) ** (1 / power))
+        part = reach(tried * delta)
+        if 0 < part < at_high:
+            power = min(max(log(at_high / part) / log(high / tried), LEAST_POWER), MOST_POWER)
+        if part > 1:
+            high, at_high = tried, part
         else:
             low = tried
-            if found >= 1 - SLACK or found == 0:
+            if part >= 1 - SLACK or part == 0:
                 break
     return low
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Literal
+from math import inf
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from pydantic import Field
 
@@ -10,18 +11,18 @@ from services.attacks.attack import Rate, SuggestedRates, register
 from services.attacks.losses import DESCRIPTION, Loss
 
 if TYPE_CHECKING:
-    from torch import Tensor
-
+    from services.attacks.attack import State
     from services.attacks.problem import AttackProblem, Evaluation
-    from services.rendering.protocol import Parameters
 
 
+@register
 class MiFgsm(SuggestedRates):
     """Momentum iterative FGSM (Dong et al. 2018): gradients divided by their ℓ1 norm are accumulated, and each step is
     along the sign of the sum.
     """
 
     method: Literal["mi-fgsm"] = "mi-fgsm"
+    needs_gradient: ClassVar[bool] = True
     steps: Annotated[int, Field(ge=1, le=10_000)] = Field(120, description="largest number of steps")
     learning_rate: dict[str, Rate] = Field(
         default_factory=dict,
@@ -40,42 +41,17 @@ class MiFgsm(SuggestedRates):
         """The loss whose gradient the loop computes."""
         return self.loss
 
+    def init(self, problem: AttackProblem) -> State:
+        """No gradient is accumulated yet."""
+        return {"delta": problem.start, "accumulated": problem.nothing}
 
-@register(MiFgsm)
-class MiFgsmMethod:
-    """g ← μ·g + ∇/‖∇‖₁;  Δ ← Δ − η·sign(g), for each group with its own norm and η."""
-
-    needs_gradient = True
-
-    def __init__(self, settings: MiFgsm, problem: AttackProblem) -> None:
-        self.settings = settings
-        self.perturbation: Parameters = problem.beginning
-        self.accumulated: Parameters = problem.nothing()
-
-    def start(self, problem: AttackProblem) -> dict[str, object]:  # noqa: ARG002 - nothing to measure
-        """MI-FGSM measures no settings."""
-        return {}
-
-    def advance(self, problem: AttackProblem, view: Evaluation, step: int) -> int:  # noqa: ARG002
-        """Takes one step. Returns the number of groups whose gradient is zero throughout, which add nothing."""
-        moved, zero = {}, 0
-        for group, gradient in view.gradients.items():
-            # a sum of a hundred thousand small values, of which float32 would keep four digits
-            norm = float(gradient.abs().double().sum())
-            zero += norm == 0
-            kept = self.accumulated[group] * self.settings.decay
-            self.accumulated[group] = kept if norm == 0 else kept + gradient / norm
-            step_size = self.settings.learning_rate[group]
-            moved[group] = view.perturbation[group].detach() - step_size * self.accumulated[group].sign()
-        self.perturbation = problem.clamp(moved)
-        return zero
-
-    def state(self) -> dict[str, Tensor]:
-        """The perturbation and the accumulated gradient of each group."""
-        named = {f"perturbation.{g}": v for g, v in self.perturbation.items()}
-        return named | {f"accumulated.{g}": v for g, v in self.accumulated.items()}
-
-    def load(self, state: dict[str, Tensor]) -> None:
-        """Continues from `state()`."""
-        self.perturbation = {g: state[f"perturbation.{g}"] for g in self.perturbation}
-        self.accumulated = {g: state[f"accumulated.{g}"] for g in self.accumulated}
+    def step(self, problem: AttackProblem, state: State, evaluation: Evaluation) -> State:
+        """g ← μ·g + ∇/‖∇‖₁;  Δ ← Δ − η·sign(g), for each group with its own norm and η. Zero gradients add nothing."""
+        assert evaluation.gradient is not None
+        delta, layout = evaluation.delta, problem.layout
+        # a sum of a hundred thousand small values, of which float32 would keep four digits
+        norms = {g: float(v.abs().double().sum()) or inf for g, v in layout.unflatten(evaluation.gradient).items()}
+        direction = evaluation.gradient / layout.spread(norms).to(delta.dtype)
+        accumulated = state["accumulated"] * self.decay + direction
+        rate = layout.spread(self.learning_rate).to(delta.dtype)
+        return {"delta": problem.limits.clamp(delta - rate * accumulated.sign()), "accumulated": accumulated}

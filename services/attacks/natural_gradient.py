@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from math import inf, sqrt
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
-from services.attacks.attack import AttackSettings, register
+from services.attacks.attack import Attack, register
 from services.rendering.declaration import RENDERERS
 
 if TYPE_CHECKING:
     from torch import Tensor
 
+    from services.attacks.attack import State
     from services.attacks.problem import AttackProblem, Evaluation
-    from services.rendering.protocol import Parameters
 
 RADIUS = 0.01
 """Default p of the first step where the request states no largest p."""
@@ -30,13 +30,16 @@ RAISE, RELAX = 3.0, 3.0**-0.5
 """Factors on the damping after a step that did not lower the objective, and after one that did."""
 
 
-class NaturalGradient(AttackSettings):
+@register
+class NaturalGradient(Attack):
     """Natural gradient (Amari 1998) in the metric of perceptibility, with a trust region: of all steps whose image
     changes by the same p, the one that lowers the objective most to first order. It uses the differences of images from
     which the gradient is taken anyway, so it is for renderers without gradients.
     """
 
     method: Literal["natural-gradient"] = "natural-gradient"
+    needs_gradient: ClassVar[bool] = True
+    needs_metric: ClassVar[bool] = True
     steps: Annotated[int, Field(ge=1, le=10_000)] = Field(30, description="largest number of steps")
     radius: Annotated[float, Field(gt=0, le=sqrt(3), allow_inf_nan=False)] = Field(
         RADIUS,
@@ -64,79 +67,45 @@ class NaturalGradient(AttackSettings):
             raise ValueError("expectation: the metric of natural-gradient is that of one image; use fgsm or mi-fgsm")
         return self
 
-    @property
-    def needs_metric(self) -> bool:
-        """True: steps are measured in the change of the image."""
-        return True
+    def init(self, problem: AttackProblem) -> State:
+        """The best perturbation has no objective yet. `region` is its objective, the radius and the damping."""
+        numbers, total = problem.start.double(), problem.layout.total
+        return {
+            "delta": problem.start,
+            "best": problem.start,
+            "gradient": numbers.new_zeros(total),
+            "metric": numbers.new_zeros(total, total),
+            "region": numbers.new_tensor([inf, self.radius, DAMPING]),
+        }
 
+    def step(self, problem: AttackProblem, state: State, evaluation: Evaluation) -> State:
+        """d ∝ −(M + μ·diag M)⁻¹ ∇f, scaled to dᵀMd = r², from the best perturbation so far.
 
-@register(NaturalGradient)
-class NaturalGradientMethod:
-    """d ∝ −(M + μ·diag M)⁻¹ ∇f, scaled to dᵀMd = r², from the best perturbation so far.
-
-    M is the metric: dᵀMd is the square of the p that a small step d changes the image by. The damping μ (Levenberg and
-    Marquardt) and the radius r (a trust region) follow from whether the last step lowered the objective: silhouettes
-    that cross pixels make differences of images and the objective disagree.
-    """
-
-    needs_gradient = True
-
-    def __init__(self, settings: NaturalGradient, problem: AttackProblem) -> None:
-        import torch
-
-        self.settings = settings
-        self.layout = problem.layout
-        self.delta = self.layout.flatten(problem.beginning)
-        self.best = self.delta
-        self.gradient = torch.zeros(self.layout.total, dtype=torch.float64)
-        self.metric = torch.zeros(self.layout.total, self.layout.total, dtype=torch.float64)
-        self.region = torch.tensor([inf, settings.radius, DAMPING], dtype=torch.float64)
-        """The objective of the best perturbation, the radius and the damping."""
-
-    @property
-    def perturbation(self) -> Parameters:
-        """The current perturbation, by group."""
-        return self.layout.unflatten(self.delta)
-
-    def start(self, problem: AttackProblem) -> dict[str, object]:  # noqa: ARG002 - nothing to measure
-        """Natural gradient measures no settings of its own."""
-        return {}
-
-    def advance(self, problem: AttackProblem, view: Evaluation, step: int) -> int:
-        """Takes one step. Returns the number of groups whose gradient is zero throughout."""
-        import torch
-
-        from services.attacks.differences import moved
-
-        least, radius, damping = self.region.tolist()
-        if view.objective < least:
-            assert problem.differences is not None
-            assert problem.differences.metric is not None
-            self.best = self.layout.flatten(view.perturbation).detach()
-            self.gradient = self.layout.flatten(view.gradients).double().cpu()
-            self.metric = problem.differences.metric
-            if step:
-                radius = min(GROWTH * radius, MOST_GROWTH * self.settings.radius)
+        M is the metric: dᵀMd is the square of the p that a small step d changes the image by. The damping μ (Levenberg
+        and Marquardt) and the radius r (a trust region) follow from whether the last step lowered the objective:
+        silhouettes that cross pixels make differences of images and the objective disagree.
+        """
+        assert evaluation.gradient is not None
+        assert evaluation.metric is not None
+        best, gradient, metric = state["best"], state["gradient"], state["metric"]
+        least, radius, damping = state["region"].tolist()
+        if evaluation.objective < least:
+            best, gradient = evaluation.delta, evaluation.gradient.double().cpu()
+            metric, least = evaluation.metric, evaluation.objective
+            if evaluation.step:
+                radius = min(GROWTH * radius, MOST_GROWTH * self.radius)
                 damping = max(RELAX * damping, LEAST_DAMPING)
-            least = view.objective
         else:
             radius, damping = CUT * radius, min(RAISE * damping, MOST_DAMPING)
-            if radius < LEAST * self.settings.radius:
-                radius = self.settings.radius
-        self.region = torch.tensor([least, radius, damping], dtype=torch.float64)
-        change = radius * steepest(self.gradient, self.metric, damping)
-        self.delta = moved(problem, self.best, change[None])[0]
-        return view.n_flat
-
-    def state(self) -> dict[str, Tensor]:
-        """The perturbation, the best one with its gradient and metric, and the trust region."""
-        names = ("delta", "best", "gradient", "metric", "region")
-        return {name: getattr(self, name) for name in names}
-
-    def load(self, state: dict[str, Tensor]) -> None:
-        """Continues from `state()`."""
-        for name, value in state.items():
-            setattr(self, name, value)
+            if radius < LEAST * self.radius:
+                radius = self.radius
+        return {
+            "delta": problem.limits.moved(best, radius * steepest(gradient, metric, damping)),
+            "best": best,
+            "gradient": gradient,
+            "metric": metric,
+            "region": state["region"].new_tensor([least, radius, damping]),
+        }
 
 
 def steepest(gradient: Tensor, metric: Tensor, damping: float) -> Tensor:
@@ -153,6 +122,6 @@ def steepest(gradient: Tensor, metric: Tensor, damping: float) -> Tensor:
     scale = scale.where(live, torch.ones_like(scale))
     alike = metric / scale[:, None] / scale
     alike = alike + torch.diag(damping * live + (~live).double())
-    found = -torch.linalg.solve(alike, gradient / scale * live) / scale
-    length = float((found @ metric @ found).sqrt())
-    return found / length if length > 0 else torch.zeros_like(found)
+    direction = -torch.linalg.solve(alike, gradient / scale * live) / scale
+    length = float((direction @ metric @ direction).sqrt())
+    return direction / length if length > 0 else torch.zeros_like(direction)

@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
 from services.attacks.attack import DifferencesWithinLimits, Rate, register
+from services.attacks.spsa import both_ways, draw_directions, moved_by_adam
 from services.names import reference
 
 if TYPE_CHECKING:
     from torch import Tensor
 
+    from services.attacks.attack import State
     from services.attacks.problem import AttackProblem, Evaluation
-    from services.rendering.protocol import Parameters
 
 DEPENDENT = 1e-8
 """Eigenvalues of the directions' Gram matrix below this share of the largest are treated as 0."""
 
 
+@register
 class PRgf(DifferencesWithinLimits):
     """Prior-guided random gradient-free search (Cheng et al. 2019, in the form of Cheng, Wu and Zhu 2021): the
     gradient is projected onto the span of random directions and of a surrogate's gradient, and moved by Adam. It needs
@@ -26,6 +29,7 @@ class PRgf(DifferencesWithinLimits):
     """
 
     method: Literal["p-rgf"] = "p-rgf"
+    needs_gradient: ClassVar[bool] = False
     surrogate: Annotated[str, Field(min_length=1, max_length=100), reference("target")] | None = Field(
         None,
         description="another target, whose scores have gradients: the direction of its gradient is tried at each step "
@@ -54,72 +58,44 @@ class PRgf(DifferencesWithinLimits):
         """The surrogate."""
         return self.surrogate
 
+    def init(self, problem: AttackProblem) -> State:
+        """Adam's moments are zero; the half-steps of the surrogate's gradient are measured where they are needed."""
+        zeros = problem.start.new_zeros(problem.layout.total).double()
+        state = {"delta": problem.start, "first": zeros, "second": zeros}
+        return state if problem.surrogate is None else state | measured_half_steps(problem)
 
-@register(PRgf)
-class PRgfMethod:
-    """Each step projects the gradient onto the span of its directions and moves all coordinates by Adam."""
+    def measured(self, problem: AttackProblem, state: State) -> dict[str, object]:
+        """What the surrogate's gradient is taken by, as `surrogate`: differences of images, or {}."""
+        if problem.surrogate is None:
+            return {}
+        differences = surrogate_problem(problem, state).differences
+        return {"surrogate": {} if differences is None else differences.settings(problem)}
 
-    needs_gradient = False
-
-    def __init__(self, settings: PRgf, problem: AttackProblem) -> None:
-        from services.attacks.adam import Adam
-        from services.attacks.prior import Prior
-
-        self.settings = settings
-        self.layout = problem.layout
-        self.delta = self.layout.flatten(problem.beginning)
-        self.half_steps = self.layout.spread(settings.delta)
-        self.adam = Adam(self.layout.spread(settings.learning_rate))
-        self.prior = None if problem.surrogate is None else Prior(problem)
-
-    @property
-    def perturbation(self) -> Parameters:
-        """The current perturbation, by group."""
-        return self.layout.unflatten(self.delta)
-
-    def start(self, problem: AttackProblem) -> dict[str, object]:
-        """Returns what the surrogate's gradient is taken by, as `surrogate`: differences of images, or {}."""
-        return {} if self.prior is None else {"surrogate": self.prior.measure(problem)}
-
-    def advance(self, problem: AttackProblem, view: Evaluation, step: int) -> int:
-        """Takes one step. Returns the number of directions along which the objective does not change."""
+    def step(self, problem: AttackProblem, state: State, evaluation: Evaluation) -> State:
+        """Projects the gradient onto the span of the directions and moves all coordinates by Adam. Counts the
+        directions along which the objective does not change.
+        """
         import torch
 
-        from services.attacks.differences import moved
-        from services.attacks.spsa import draw_directions
-
-        at = self.layout.flatten(view.perturbation)
-        directions = draw_directions("signs", self.settings.pairs, self.layout.total, problem.seed, step)
-        if self.prior is not None:
-            prior = self.prior.gradient(problem, view.perturbation) * self.half_steps
+        at, step = evaluation.delta, evaluation.step
+        half_steps, total = problem.layout.spread(self.delta), problem.layout.total
+        directions = draw_directions("signs", self.pairs, total, problem.seed, step)
+        if problem.surrogate is not None:
+            prior = surrogate_gradient(problem, state, at, step) * half_steps
             if bool(prior.any()):  # of the same length as a direction of signs
-                prior = prior / prior.norm() * self.layout.total**0.5
-                directions = torch.cat([prior[None], directions])
-        gradient, still = projected_gradient(problem, at, directions, self.half_steps)
-        self.delta = moved(problem, at, self.adam.change(gradient, step)[None])[0]
-        return still
-
-    def state(self) -> dict[str, Tensor]:
-        """The perturbation, Adam's moments, and the half-steps of the surrogate's gradient."""
-        prior = {} if self.prior is None else {"prior_half_steps": self.prior.half_steps}
-        return {"delta": self.delta} | self.adam.state() | prior
-
-    def load(self, state: dict[str, Tensor]) -> None:
-        """Continues from `state()`."""
-        self.delta = state["delta"]
-        self.adam.load(state)
-        if self.prior is not None:
-            self.prior.load(state["prior_half_steps"])
+                directions = torch.cat([(prior / prior.norm() * total**0.5)[None], directions])
+        gradient, still = projected_gradient(problem, at, directions, half_steps, step)
+        return state | moved_by_adam(self, problem, state, at, gradient, step) | {"below_noise": still}
 
 
 def projected_gradient(
-    problem: AttackProblem, at: Tensor, directions: Tensor, half_steps: Tensor
-) -> tuple[Tensor, int]:
+    problem: AttackProblem, at: Tensor, directions: Tensor, half_steps: Tensor, step: int = 0
+) -> tuple[Tensor, Tensor]:
     """The gradient of the objective, projected onto the span of directions; and the number of directions along which
     the objective does not change.
 
     `at` [total] is the perturbation; each side of a difference is at ± half_steps [total] · directions [n, total],
-    clamped to the bounds. Returns ∂objective/∂x, float64 [total]. Raises as `evaluate` does.
+    clamped to the box. Returns ∂objective/∂x, float64 [total]. Raises as `AttackProblem.objectives` does.
 
     With the half-steps as units, the result is the shortest vector whose product with each displacement is the measured
     change: of all combinations of the directions the one closest to the gradient (Cheng, Wu and Zhu 2021), whatever the
@@ -127,15 +103,63 @@ def projected_gradient(
     """
     import torch
 
-    from services.attacks.differences import evaluate, moved
-
     if not len(directions):
-        return torch.zeros_like(half_steps), 0
-    moves = directions * half_steps
-    forwards, backwards = (moved(problem, at, sign * moves) for sign in (1.0, -1.0))
-    objectives = evaluate(problem, torch.stack([forwards, backwards], dim=1).flatten(0, 1)).reshape(-1, 2)
-    change = objectives[:, 0] - objectives[:, 1]
-    displacements = (forwards - backwards).double() / half_steps
+        return torch.zeros_like(half_steps), torch.tensor(0)
+    change, distance = both_ways(problem, at, directions, half_steps, step)
+    displacements = distance / half_steps
     gram = displacements @ displacements.T
     weights = torch.linalg.pinv(gram, rtol=DEPENDENT, hermitian=True) @ change
-    return weights @ displacements / half_steps, int((change == 0).sum())
+    return weights @ displacements / half_steps, (change == 0).sum()
+
+
+def surrogate_problem(problem: AttackProblem, state: State) -> AttackProblem:
+    """The problem of lowering the surrogate's margin, with counts of its own."""
+    from services.attacks.differences import ImageDifferences
+    from services.attacks.problem import Counts
+
+    assert problem.surrogate is not None
+    differences = None
+    if "surrogate_half_steps" in state:
+        differences = ImageDifferences(state["surrogate_half_steps"], state["surrogate_inactive"])
+    return replace(
+        problem,
+        target=problem.surrogate.target,
+        goal=problem.surrogate.goal,
+        loss="margin",
+        distance_weight=0.0,
+        differences=differences,
+        counts=Counts(),
+    )
+
+
+def measured_half_steps(problem: AttackProblem) -> State:
+    """The half-steps of the surrogate's gradient through a renderer without gradients, by differences of its images,
+    which ask the network under attack nothing; {} for another renderer.
+    """
+    from services.attacks.differences import ImageDifferences
+
+    if problem.renderer.differentiable:
+        return {}
+    own = surrogate_problem(problem, {})
+    differences = ImageDifferences.measure(own)
+    count(problem, own)
+    return {"surrogate_half_steps": differences.half_steps, "surrogate_inactive": differences.inactive}
+
+
+def surrogate_gradient(problem: AttackProblem, state: State, delta: Tensor, step: int) -> Tensor:
+    """∂margin/∂delta of the surrogate at a perturbation, float64 [total], the mean over the variations of the step if
+    it has any. Takes one query of the surrogate for each.
+    """
+    from services.attacks.problem import differentiate, evaluate
+
+    own = surrogate_problem(problem, state)
+    gradient = differentiate(own, evaluate(own, delta, step, gradient=True)).gradient
+    count(problem, own)
+    assert gradient is not None
+    return gradient.double()
+
+
+def count(problem: AttackProblem, own: AttackProblem) -> None:
+    """Counts what the surrogate's problem took: its queries apart, its images among the attack's."""
+    problem.counts.surrogate_queries += own.counts.queries
+    problem.counts.renders += own.counts.renders

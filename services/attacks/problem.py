@@ -1,15 +1,15 @@
-"""An attack's problem: a renderer, a network and a goal, with counts of the images rendered and classified.
+"""An attack's problem: what may change, what is minimised, and how a perturbation is looked at.
 
 Images are rounded to 8 bits with a straight-through derivative, so that an attack sees the image that is saved. What
-renderers, networks and methods return is checked here: an extension that breaks its protocol must end its job with a
+renderers, networks and attacks return is checked here: an extension that breaks its protocol must end its job with a
 reason. Unchecked, most of what it may return is a result: values beyond [0,1] are clipped when the image is saved, and
 scores that are no numbers have a largest one too.
 """
 
-import json
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import dataclass, field
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from math import nan, radians
 from typing import Any, Protocol
 
@@ -18,26 +18,343 @@ from torch import Tensor
 
 from services.attacks.expectation import Expectation
 from services.attacks.goal import ResolvedGoal
-from services.attacks.limits import (
-    ROUNDING,
-    Constraint,
-    Layout,
-    held,
-    perturbation_bounds,
-    projected,
-    pulled_back,
-    random_start,
-    reached,
-)
+from services.attacks.limits import Constraint, Layout, Limits, pulled_back, random_start
 from services.attacks.losses import Loss, loss
 from services.attacks.seeds import derived, generator
-from services.attacks.surrogate import Surrogate
 from services.device import finite
-from services.errors import JobFailure, named, summary
+from services.errors import JobFailure, named
 from services.rendering import color
-from services.rendering.protocol import BOUND_SLACK, Parameters, Renderer
+from services.rendering.protocol import BOUND_SLACK, Renderer
 from services.rendering.variation import Variation, noisy, varied
 from services.targets.protocol import Target
+
+CHUNK_VALUES = 8_000_000
+"""Largest number of values (pixels × channels) rendered in one batch; with the network's activations about 100 MB."""
+MAX_BATCH = 28
+"""Largest number of images rendered in one batch: both sides of the paper's 14 coordinates."""
+SLACK = 1e-4
+"""How far rounding may take a displayed value out of [0,1]; a fortieth of a step of an 8-bit image."""
+
+
+@dataclass
+class Counts:
+    """Images so far: `renders` rendered, `queries` classified by the network, `surrogate_queries` by a surrogate."""
+
+    queries: int = 0
+    renders: int = 0
+    surrogate_queries: int = 0
+
+
+@dataclass(frozen=True)
+class Surrogate:
+    """Another network, whose gradients guide the search against a network that gives scores only, and the attack's
+    goal in its own labels.
+    """
+
+    target: Target
+    goal: ResolvedGoal
+
+
+class Differences(Protocol):
+    """Derivatives of images for a renderer that has none (`differences.ImageDifferences`)."""
+
+    def project(
+        self, problem: AttackProblem, delta: Tensor, gradient: Tensor, step: int, variation: Variation | None
+    ) -> tuple[Tensor, Tensor | None]:
+        """∂f/∂delta [total] from the gradient ∂f/∂Y [H, W, 3] of the image of `delta`, and the metric if it is kept."""
+        ...
+
+    def settings(self, problem: AttackProblem) -> dict[str, object]:
+        """How they are taken, as JSON."""
+        ...
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """A perturbation and how it looks to the network, of the scene itself or under one variation of it."""
+
+    step: int
+    """Number of the step within its start, from 0."""
+    delta: Tensor
+    """The perturbation [total] that was looked at; backtracking may have made it shorter than the attack's."""
+    rendered: Tensor
+    """The image [1, H, W, 3] in [0,1] before it is truncated."""
+    image: Tensor
+    """The image truncated to U around the original, [1, H, W, 3]."""
+    truncated: Tensor
+    """Pixels with a truncated value, bool [H, W]."""
+    saved: Tensor
+    """The image rounded to 8 bits, uint8 [H, W, 3]."""
+    scores: Tensor
+    """The network's scores of the rounded image, [K]."""
+    variation: Variation | None = None
+    samples: tuple[Evaluation, ...] = ()
+    """Evaluations of the same perturbation under the variations of the step."""
+    objective: float = nan
+    """What gradients are of (`AttackProblem.objective`) without λ, the mean over the scene and `samples`."""
+    gradient: Tensor | None = None
+    """∂(objective + λ·‖ΔY‖²)/∂delta [total], likewise; None for attacks that need none."""
+    metric: Tensor | None = None
+    """M [total, total], where differences of images keep it: dᵀMd is p² of a small change d."""
+
+    @property
+    def answers(self) -> Tensor:
+        """The scores of the scene itself and under its variations, without a graph: [1 + samples, K]."""
+        return torch.stack([self.scores, *(sample.scores for sample in self.samples)]).detach()
+
+    def detached(self) -> Evaluation:
+        """The same without graphs."""
+        names = ("delta", "rendered", "image", "scores")
+        return replace(self, **{name: getattr(self, name).detach() for name in names})
+
+
+@dataclass(frozen=True)
+class AttackProblem:
+    """What may change, what is minimised, and how it is looked at. Only `counts` changes while an attack runs.
+
+    A perturbation is one vector `delta` [total]: the changes of all attacked groups, in the order of `layout` and each
+    in its group's unit. Images are [B, H, W, 3] in [0,1]; scores are [B, K], before the softmax. `AttackProblem.of`
+    makes one.
+    """
+
+    renderer: Renderer
+    target: Target
+    goal: ResolvedGoal
+    limits: Limits
+    initial: Tensor
+    """The scene's own values [total]."""
+    original: Tensor
+    """Their image [1, H, W, 3], from which U and the distance are measured."""
+    start: Tensor
+    """The first perturbation [total]: zero, or random after a restart."""
+    seed: int = 0
+    first_step: int = 0
+    """The attack's step at which this start begins; variations are drawn anew for each step of the attack."""
+    loss: Loss = "log-odds"
+    """What gradients are of, and the objective of an evaluation."""
+    distance_weight: float = 0.0
+    """λ of the squared distance ‖ΔY‖² from the original."""
+    expectation: Expectation | None = None
+    """Views, light and noise over which the objective is averaged; None: the scene itself alone."""
+    surrogate: Surrogate | None = None
+    differences: Differences | None = None
+    """Takes gradients of images for a renderer that has none; None: the renderer's own are taken."""
+    counts: Counts = field(default_factory=Counts)
+    interrupt: Callable[[], None] = lambda: None
+    """Called before every rendering; raises Cancelled to stop."""
+
+    @classmethod
+    def of(
+        cls,
+        renderer: Renderer,
+        target: Target,
+        goal: ResolvedGoal,
+        groups: tuple[str, ...],
+        *,
+        bounds: Mapping[str, tuple[float, float]] | None = None,
+        epsilon: Mapping[str, float] | None = None,
+        truncation: float | None = None,
+        backtrack: float | None = None,
+        perceptibility: float | None = None,
+        constraint: Constraint | None = None,
+        **others: Any,
+    ) -> AttackProblem:
+        """The problem of attacking `groups` of a renderer. Renders the original, which counts.
+
+        `others` are fields, and the rest is as for `Limits.of`, whose errors it raises.
+        """
+        values = renderer.initial()
+        values = {group: values[group] for group in groups}
+        limits = Limits.of(
+            values,
+            renderer.bounds(),
+            bounds=bounds,
+            epsilon=epsilon,
+            constraint=constraint,
+            truncation=truncation,
+            backtrack=backtrack,
+            perceptibility=perceptibility,
+        )
+        initial = limits.layout.flatten(values)
+        nothing = torch.zeros_like(initial)
+        problem = cls(renderer, target, goal, limits, initial, torch.zeros(0), nothing, **others)
+        with torch.no_grad():
+            return replace(problem, original=problem.render(nothing[None]))
+
+    @property
+    def layout(self) -> Layout:
+        """The position of each attacked group in a perturbation."""
+        return self.limits.layout
+
+    @property
+    def nothing(self) -> Tensor:
+        """The perturbation [total] of zeros."""
+        return torch.zeros_like(self.initial)
+
+    @property
+    def per_batch(self) -> int:
+        """The number of images rendered in one batch: at most `MAX_BATCH`, of at most `CHUNK_VALUES` values."""
+        height, width = self.renderer.size
+        return max(1, min(MAX_BATCH, CHUNK_VALUES // (height * width * 3)))
+
+    def generator(self, *words: str | int) -> torch.Generator:
+        """Random numbers that depend on the seed and on `words` alone, which name the purpose and the step."""
+        return generator(self.seed, *words)
+
+    def variations(self, step: int) -> tuple[Variation, ...]:
+        """The variations of a step of this start, over which the objective is averaged beside the scene itself."""
+        if self.expectation is None:
+            return ()
+        number = self.first_step + step
+        return tuple(
+            draw_variation(self.expectation, self.seed, "step", number, n) for n in range(self.expectation.samples)
+        )
+
+    def render(self, deltas: Tensor, variation: Variation | None = None) -> Tensor:
+        """Images [B, H, W, 3] of perturbations [B, total], under a variation. Raises JobFailure for what is no image,
+        and Cancelled.
+        """
+        self.interrupt()
+        parameters = self.layout.unflatten(self.initial + deltas)
+        with named(f"renderer {self.renderer.name!r}"):
+            images = self.renderer.render(
+                parameters if variation is None else varied(self.renderer, parameters, variation)
+            )
+        self.counts.renders += len(deltas)
+        check_images(self.renderer, images, len(deltas))
+        return images if variation is None else noisy(images, variation)
+
+    def scores(self, images: Tensor) -> Tensor:
+        """The network's scores [B, K] of images. Raises JobFailure for what are no scores."""
+        self.counts.queries += len(images)
+        with named(f"target {self.target.name!r}"):
+            scores = self.target.logits(images)
+        check_scores(self.target, scores, len(images))
+        return scores
+
+    def objective(self, scores: Tensor) -> Tensor:
+        """The loss of scores [..., K] that gradient methods minimise, [...]."""
+        return loss(self.loss, self.goal, scores)
+
+    def feasible(self, deltas: Tensor) -> Tensor:
+        """Perturbations [B, total], projected to the constraint, and pulled back where the limits ask for it, until no
+        value of their images is beyond U and their p is within its limit.
+        """
+        deltas = self.limits.project(deltas)
+        return pulled_back(self._reach, deltas.detach()) if self.limits.backtracks else deltas
+
+    @torch.no_grad()
+    def _reach(self, delta: Tensor) -> float:
+        if not self.limits.holds(delta):
+            return 2.0  # anything above 1 is beyond the limit
+        return self.limits.reached(self.render(delta[None]), self.original)  # the limits are those of the scene itself
+
+    @torch.no_grad()
+    def objectives(self, deltas: Tensor, step: int = 0) -> Tensor:
+        """The objective of methods that search by scores, at perturbations [B, total]: float64 [B] on the CPU.
+
+        It is the log-probability advantage of the present answer + λ·‖ΔY‖². With an expectation the advantage is the
+        mean over the scene itself and the variations of `step`; λ weighs the change of the scene itself. Images are
+        not rounded. Raises as `render` and `scores` do.
+        """
+        objectives = []
+        for chunk in torch.split(deltas, self.per_batch):
+            images = self.render(chunk)
+            if self.limits.truncation is not None:
+                images = torch.cat([self.limits.truncate(image[None], self.original)[0] for image in images])
+            advantages = [self.advantages(images)]
+            advantages += [self.advantages(self.render(chunk, one)) for one in self.variations(step)]
+            objectives.append((torch.stack(advantages).mean(dim=0) + self.penalty(images)).cpu())
+        return torch.cat(objectives)
+
+    def advantages(self, images: Tensor) -> Tensor:
+        """The log-probability advantage of the present answer, of images: float64 [B]."""
+        return self.goal.advantage(self.scores(images)).double()
+
+    def penalty(self, images: Tensor) -> Tensor | float:
+        """λ‖ΔY‖² of images, float64 [B]; 0 without λ. The sums run over each image, never over the batch."""
+        weight = self.distance_weight
+        return 0.0 if weight == 0 else weight * distances(images, self.original).square()
+
+
+def at_random_start(problem: AttackProblem, number: int, first_step: int) -> AttackProblem:
+    """The problem of restart `number`, from 1: it begins at a random point of the box, and has a seed of its own."""
+    start = random_start(problem.limits, problem.seed, number)
+    return replace(problem, start=start, seed=derived(problem.seed, "restart", number), first_step=first_step)
+
+
+def evaluate(problem: AttackProblem, delta: Tensor, step: int, gradient: bool = False) -> Evaluation:
+    """Looks at a perturbation [total], and at it under each variation of the step.
+
+    With `gradient` the evaluation has a graph, of which `differentiate` makes the gradient; those of its samples are
+    made at once, to free their memory. Takes a query for each image. Raises JobFailure for a perturbation of another
+    shape, or with values that are not finite or beyond the box, and as `AttackProblem.render` and `scores` do.
+    """
+    evaluation = _look(problem, delta, step, gradient, None)
+    samples = []
+    for variation in problem.variations(step):
+        sample = _look(problem, evaluation.delta, step, gradient, variation)
+        samples.append(_differentiated(problem, sample) if gradient else sample)
+    return replace(evaluation, samples=tuple(samples))
+
+
+def _look(problem: AttackProblem, delta: Tensor, step: int, gradient: bool, variation: Variation | None) -> Evaluation:
+    check_perturbation(problem, delta)
+    limits, renders_gradients = problem.limits, gradient and problem.differences is None
+    if limits.backtracks or limits.constraint is not None:
+        delta = problem.feasible(delta.detach()[None])[0]
+    delta = delta.detach().clone().requires_grad_(renders_gradients)
+    with torch.set_grad_enabled(renders_gradients):
+        rendered = problem.render(delta[None], variation)
+    with torch.set_grad_enabled(gradient):
+        if gradient and not renders_gradients:
+            rendered = rendered.detach().requires_grad_()
+        image, truncated = limits.truncate(rendered, problem.original)
+        saved, rounded = quantize(image)
+        [scores] = problem.scores(rounded)
+    return Evaluation(step, delta, rendered, image, truncated, saved[0], scores, variation)
+
+
+def differentiate(problem: AttackProblem, evaluation: Evaluation) -> Evaluation:
+    """The evaluation with the objective's gradient, the mean over the scene itself and its variations, and no graph.
+
+    Raises JobFailure("non-finite") naming the group, and JobFailure("internal") if there is no graph.
+    """
+    own = _differentiated(problem, evaluation)
+    gradients = [sample.gradient for sample in evaluation.samples if sample.gradient is not None]
+    assert own.gradient is not None
+    return replace(own, gradient=sum(gradients, own.gradient) / (1 + len(gradients)))
+
+
+def _differentiated(problem: AttackProblem, evaluation: Evaluation) -> Evaluation:
+    check_graph(problem.renderer, problem.target, evaluation.image, evaluation.scores)
+    objective = problem.objective(evaluation.scores)
+    if problem.distance_weight:
+        distance = (evaluation.image - problem.original).square().sum().to(objective.device)
+        objective = objective + problem.distance_weight * distance
+    leaf = evaluation.delta if problem.differences is None else evaluation.rendered
+    # zeros where every pixel is truncated, or does not depend on the parameter
+    (gradient,) = torch.autograd.grad(objective, [leaf], materialize_grads=True)
+    evaluation, metric = evaluation.detached(), None
+    if problem.differences is not None:
+        gradient, metric = problem.differences.project(
+            problem, evaluation.delta, gradient[0], evaluation.step, evaluation.variation
+        )
+    for group, values in problem.layout.unflatten(gradient).items():
+        if not finite(values):
+            raise JobFailure("non-finite", f"the gradient of group {group!r} has values that are not finite")
+    return replace(evaluation, gradient=gradient, metric=metric)
+
+
+def distances(images: Tensor, original: Tensor) -> Tensor:
+    """Euclidean distance ‖ΔY‖ of each image [B, H, W, 3] from the original [1, H, W, 3]: [B] float64.
+
+    Differences and their sums along a row are of the images' dtype, which costs a few last places; the long sum over
+    rows is in float64.
+    """
+    rows = torch.linalg.vector_norm((images - original).flatten(2), dim=2)
+    lengths: Tensor = torch.linalg.vector_norm(rows, dim=1, dtype=torch.float64)
+    return lengths
 
 
 def draw_variation(asked: Expectation, seed: int, *words: str | int) -> Variation:
@@ -77,10 +394,6 @@ class _Quantize(torch.autograd.Function):
         return gradient
 
 
-SLACK = 1e-4
-"""How far rounding may take a displayed value out of [0,1]; a fortieth of a step of an 8-bit image."""
-
-
 def check_images(renderer: Renderer, images: Tensor, count: int) -> None:
     """Raises JobFailure unless `images` are `count` images of the renderer's size, with values in [0,1]."""
     shape = (count, *renderer.size, 3)
@@ -116,298 +429,27 @@ def check_graph(renderer: Renderer, target: Target, images: Tensor, scores: Tens
         )
 
 
-def check_perturbation(
-    given: Mapping[str, Tensor], initial: Mapping[str, Tensor], bounds: Mapping[str, tuple[Tensor, Tensor]]
-) -> None:
-    """Raises JobFailure unless a method's perturbation has the attacked groups in their shapes, and values that are
-    finite and within `bounds`, the smallest and largest perturbation of each group that has any.
+def check_perturbation(problem: AttackProblem, delta: Tensor) -> None:
+    """Raises JobFailure unless an attack's perturbation is a floating-point vector [total] with values that are finite
+    and within the box.
     """
-    if not isinstance(given, Mapping) or not all(isinstance(value, Tensor) for value in given.values()):
-        raise JobFailure("internal", "the method's perturbation is no tensor for each group")
-    shapes = {group: tuple(value.shape) for group, value in given.items()}
-    expected = {group: tuple(value.shape) for group, value in initial.items()}
-    if shapes != expected:
-        raise JobFailure("internal", f"the method's perturbation has the groups {shapes}; attacked are {expected}")
-    for group, value in given.items():
-        if not value.is_floating_point():
-            raise JobFailure("internal", f"the perturbation of group {group!r} is of {value.dtype}, not floating-point")
-        if not finite(value):
+    layout, limits = problem.layout, problem.limits
+    if not isinstance(delta, Tensor) or delta.shape != (layout.total,) or not delta.is_floating_point():
+        found = f"{delta.dtype} of {list(delta.shape)}" if isinstance(delta, Tensor) else type(delta).__name__
+        raise JobFailure("internal", f"the attack's perturbation is {found}; floating-point [{layout.total}] is due")
+    for group, values in layout.unflatten(delta.detach()).items():
+        if not finite(values):
             raise JobFailure("non-finite", f"the perturbation of group {group!r} has values that are not finite")
-        low, high = bounds.get(group, (value, value))
-        beyond = torch.maximum(low - value, value - high).detach()
-        if bool((beyond > BOUND_SLACK * (1 + initial[group].abs())).any()):
-            raise JobFailure(
-                "internal",
-                f"the method left the bounds of group {group!r} by up to {float(beyond.max()):g}; "
-                "AttackProblem.clamp keeps a perturbation within them",
-            )
-
-
-def check_settings(found: object) -> None:
-    """Raises JobFailure unless `Method.start` returned a dict that can be stored as JSON."""
-    try:
-        if isinstance(found, dict):
-            json.dumps(found, allow_nan=False)
-            return
-    except (TypeError, ValueError) as error:
-        raise JobFailure("internal", f"the settings that the method measured are not JSON: {summary(error)}") from error
-    raise JobFailure("internal", f"the method's start returned a {type(found).__name__}; a dict of settings is due")
-
-
-def check_state(state: object) -> None:
-    """Raises JobFailure unless `Method.state` returned tensors by name, which a checkpoint can save."""
-    if not isinstance(state, dict) or not all(isinstance(value, Tensor) for value in state.values()):
-        raise JobFailure("internal", "the method's state is no dict of tensors; a checkpoint could not save it")
-
-
-def check_count(count: object) -> None:
-    """Raises JobFailure unless `Method.advance` returned a count."""
-    if not isinstance(count, int) or count < 0:
-        raise JobFailure("internal", f"the method's advance returned {count!r:.80}; a count from 0 is due")
+    beyond = torch.maximum(limits.low - delta, delta - limits.high).detach()
+    if bool((beyond > BOUND_SLACK * (1 + problem.initial.abs())).any()):
+        group = layout.group_of(int(beyond.argmax()))
+        raise JobFailure(
+            "internal",
+            f"the attack left the bounds of group {group!r} by up to {float(beyond.max()):g}; "
+            "`problem.limits.clamp` keeps a perturbation within them",
+        )
 
 
 def _internal(kind: str, name: str, what: str, shape: tuple[int, ...], given: object) -> JobFailure:
     found = f"{given.dtype} of {list(given.shape)}" if isinstance(given, Tensor) else type(given).__name__
     return JobFailure("internal", f"{kind} {name!r} returned {what} as {found}; floating-point {list(shape)} is due")
-
-
-@dataclass(frozen=True)
-class Evaluation:
-    """One perturbation, its image, and its gradients."""
-
-    perturbation: Parameters
-    """The perturbation by group; its tensors are leaves of the graph of `images` if a gradient was asked for."""
-    images: Tensor
-    """The float image [1, H, W, 3] in [0,1], truncated to U around the original."""
-    truncated: Tensor
-    """Pixels with a truncated value, bool [H, W]."""
-    gradients: Parameters = field(default_factory=dict)
-    """∂objective/∂perturbation by group, for a method that needs it; see `gradients`."""
-    objective: float = nan
-    """The objective of the image rounded to 8 bits, without an own query of the network; see `AttackProblem.loss`."""
-
-    @property
-    def n_flat(self) -> int:
-        """The number of groups whose gradient is zero throughout."""
-        return sum(bool(gradient.min() == gradient.max() == 0) for gradient in self.gradients.values())
-
-
-class Differences(Protocol):
-    """Derivatives of images for a renderer that has none (`image_differences`)."""
-
-    metric: Tensor | None
-    """The metric of the newest gradient; see `AttackProblem.needs_metric`."""
-
-    def render(self, problem: "AttackProblem", perturbation: Parameters) -> Tensor:
-        """The image [1, H, W, 3] of a perturbation, with a graph to the perturbation's tensors."""
-        ...
-
-
-@dataclass
-class AttackProblem:
-    """Renders perturbations and classifies images, and counts both (`renders`, `queries`).
-
-    `truncation` is U in [0,1] or None; `weight` is λ of the summed squares of the image's change (zoo). `backtrack` is
-    U of the constraint `backtrack`, or None. `epsilon` and `limits` are the request's ε and bounds of the values, by
-    group.
-    """
-
-    renderer: Renderer
-    target: Target
-    goal: ResolvedGoal
-    groups: tuple[str, ...]
-    seed: int = 0
-    truncation: float | None = None
-    weight: float = 0.0
-    loss: Loss = "log-odds"
-    """What the gradients are of, and the objective of an evaluation."""
-    backtrack: float | None = None
-    perceptibility: float | None = None
-    """Largest p of an image, to which the constraint `backtrack` pulls perturbations back; None if there is none."""
-    epsilon: Mapping[str, float] = field(default_factory=dict)
-    limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    interrupt: Callable[[], None] = lambda: None
-    """Called before every rendering; raises Cancelled to stop."""
-    differences: Differences | None = None
-    """Differences of the image, by which `view` differentiates it if the renderer cannot; None if it can."""
-    needs_metric: bool = False
-    """Whether `differences` keeps the metric M [total, total] of each gradient: dᵀMd is p² of a small change d."""
-    surrogate: Surrogate | None = None
-    """The network whose gradients guide a method that searches by scores; None if there is none."""
-    expectation: Expectation | None = None
-    """The range of views, light and noise over which the objective is averaged; None: the scene itself alone."""
-    constraint: Constraint | None = None
-    """What the scene allows beyond bounds; every perturbation that is viewed is projected to it."""
-    queries: int = 0
-    renders: int = 0
-    surrogate_queries: int = 0
-    """Images that the surrogate classified."""
-    initial: Parameters = field(init=False)
-    original: Tensor = field(init=False)
-    layout: Layout = field(init=False)
-    """The attacked groups as one vector."""
-    bounds: dict[str, tuple[Tensor, Tensor]] = field(init=False)
-    """Smallest and largest perturbation of each group that has any limit (`feasible`)."""
-    beginning: Parameters = field(init=False)
-    """The perturbation with which a method begins: zeros, or a random one for a restart."""
-    variations: tuple[Variation, ...] = field(init=False, default=())
-    """The variations of this step, over which the objective is averaged beside the scene itself."""
-    variation: Variation | None = field(init=False, default=None)
-    """The one under which `render` draws at present; None: the scene itself."""
-
-    def __post_init__(self) -> None:
-        start = self.renderer.initial()
-        self.initial = {group: start[group] for group in self.groups}
-        self.layout = Layout.of(self.initial)
-        bounds = perturbation_bounds(self.initial, self.renderer.bounds(), self.limits, self.epsilon)
-        self.bounds = held(bounds, self.constraint)
-        self.beginning = self.nothing()
-        with torch.no_grad():
-            self.original = self.render({g: v[None] for g, v in self.initial.items()})
-
-    def nothing(self) -> Parameters:
-        """The perturbation of zeros."""
-        return {group: torch.zeros_like(value) for group, value in self.initial.items()}
-
-    def restart(self, number: int) -> None:
-        """Moves the beginning to a random point within the bounds, and the seed to one of its own, for restart
-        `number`, from 1.
-        """
-        self.beginning = random_start(self.initial, self.bounds, self.seed, number)
-        self.seed = derived(self.seed, "restart", number)
-
-    def draw(self, step: int) -> None:
-        """Draws the variations of a step."""
-        if self.expectation is not None:
-            numbers = range(self.expectation.samples)
-            self.variations = tuple(draw_variation(self.expectation, self.seed, "step", step, n) for n in numbers)
-
-    @contextmanager
-    def under(self, variation: Variation | None) -> Iterator[None]:
-        """Draws under a variation as long as the context lasts."""
-        before, self.variation = self.variation, variation
-        try:
-            yield
-        finally:
-            self.variation = before
-
-    def clamp(self, perturbation: Mapping[str, Tensor]) -> Parameters:
-        """The perturbation, clamped to `bounds`."""
-        return {
-            group: value.clamp(*self.bounds[group]) if group in self.bounds else value
-            for group, value in perturbation.items()
-        }
-
-    def render(self, parameters: Mapping[str, Tensor]) -> Tensor:
-        """Images [B, H, W, 3] of groups with B values each, under the present variation. Raises JobFailure for what is
-        no image (`contract`).
-        """
-        self.interrupt()
-        count = len(next(iter(parameters.values())))
-        variation = self.variation
-        with named(f"renderer {self.renderer.name!r}"):
-            images = self.renderer.render(
-                parameters if variation is None else varied(self.renderer, parameters, variation)
-            )
-        self.renders += count
-        check_images(self.renderer, images, count)
-        return images if variation is None else noisy(images, variation)
-
-    def view(self, perturbation: Mapping[str, Tensor], gradient: bool = False) -> Evaluation:
-        """The image of one perturbation, truncated to U around the original; with a graph if `gradient`.
-
-        With `backtrack`, of the perturbation pulled back until its image is within U, which the view then names. The
-        graph is the renderer's own, or that of `differences` if the renderer has none.
-
-        Raises JobFailure for a perturbation of other groups or shapes, or with values that are not finite or beyond the
-        renderer's bounds.
-        """
-        check_perturbation(perturbation, self.initial, self.bounds)
-        if self._backtracks or self.constraint is not None:
-            perturbation = self.layout.unflatten(self.feasible(self.layout.flatten(perturbation)[None])[0])
-        leaves = {g: value.detach().requires_grad_(gradient) for g, value in perturbation.items()}
-        with torch.set_grad_enabled(gradient):
-            if gradient and self.differences is not None:
-                images = self.differences.render(self, leaves)
-            else:
-                images = self.render({g: (self.initial[g] + value)[None] for g, value in leaves.items()})
-            return Evaluation(leaves, *truncate(images, self.original, self.truncation))
-
-    def feasible(self, vectors: Tensor) -> Tensor:
-        """The perturbations [B, total], projected to the constraint, and pulled back with `backtrack` until no value of
-        their images is beyond U, and until the images' p is within `perceptibility`.
-        """
-        vectors = projected(self.constraint, self.layout, vectors)
-        return pulled_back(self._reach, vectors.detach()) if self._backtracks else vectors
-
-    @property
-    def _backtracks(self) -> bool:
-        return self.backtrack is not None or self.perceptibility is not None
-
-    @torch.no_grad()
-    def _reach(self, vector: Tensor) -> float:
-        if self.constraint is not None and not self.constraint.holds(self.layout.unflatten(vector)):
-            return 2.0  # anything above 1 is beyond the limit
-        with self.under(None):  # the limits are those of the scene itself
-            image = self.render(self.layout.unflatten((self.layout.flatten(self.initial) + vector)[None]))
-            return reached(image, self.original, self.backtrack, self.perceptibility)
-
-    def objective(self, logits: Tensor) -> Tensor:
-        """The loss of logits [..., K] that is minimised, [...]."""
-        return loss(self.loss, self.goal, logits)
-
-    def logits(self, images: Tensor) -> Tensor:
-        """Scores [B, K] of images [B, H, W, 3]. Raises JobFailure for what are no scores (`contract`)."""
-        self.queries += len(images)
-        with named(f"target {self.target.name!r}"):
-            logits = self.target.logits(images)
-        check_scores(self.target, logits, len(images))
-        return logits
-
-
-def gradients(problem: AttackProblem, view: Evaluation, logits: Tensor) -> Parameters:
-    """∂objective/∂perturbation at a view, by group.
-
-    The objective is the goal's, plus λ·‖ΔY‖² if the problem has a `weight`. `logits` [1, K] has a graph that leads to
-    the view. Raises JobFailure("non-finite") naming the group, and JobFailure("internal") if there is no graph.
-    """
-    check_graph(problem.renderer, problem.target, view.images, logits)
-    objective = problem.objective(logits[0])
-    if problem.weight:
-        objective = objective + problem.weight * (view.images - problem.original).square().sum().to(objective.device)
-    leaves = [view.perturbation[group] for group in problem.groups]
-    # zeros where every pixel is truncated, or does not depend on the parameter
-    by_leaf = torch.autograd.grad(objective, leaves, materialize_grads=True)
-    found = dict(zip(problem.groups, by_leaf, strict=True))
-    for group, gradient in found.items():
-        if not finite(gradient):
-            raise JobFailure("non-finite", f"the gradient of group {group!r} has values that are not finite")
-    return found
-
-
-def distances(images: Tensor, original: Tensor) -> Tensor:
-    """Euclidean distance ‖ΔY‖ of each image [B, H, W, 3] from the original [1, H, W, 3]: [B] float64.
-
-    Differences and their sums along a row are of the images' dtype, which costs a few last places; the long sum over
-    rows is in float64.
-    """
-    rows = torch.linalg.vector_norm((images - original).flatten(2), dim=2)
-    found: Tensor = torch.linalg.vector_norm(rows, dim=1, dtype=torch.float64)
-    return found
-
-
-def truncate(images: Tensor, original: Tensor, limit: float | None) -> tuple[Tensor, Tensor]:
-    """Clamps RGB values to within `limit` of the original. Returns the images and the mask of changed pixels.
-
-    `images` and `original` are [1, H, W, 3] in [0,1]; `limit` is in [0,1], or None for no limit; the mask is bool
-    [H, W]. A clamped value passes no gradient (paper, section 3.3).
-    """
-    nowhere = torch.zeros(images.shape[1:3], dtype=torch.bool, device=images.device)
-    if limit is None:
-        return images, nowhere
-    change = images.detach() - original
-    low, high = torch.aminmax(change)
-    if max(-float(low), float(high)) <= limit + ROUNDING:
-        return images, nowhere
-    held = (change.abs_().amax(dim=-1) > limit + ROUNDING)[0]
-    return images.clamp(original - limit, original + limit), held

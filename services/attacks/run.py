@@ -1,12 +1,12 @@
-"""The loop that runs every attack: evaluate, verify, stop or advance; its state, its verifier and its checkpoint."""
+"""The loop that runs every attack: evaluate, verify, stop or step; what it has come to, its verifier and checkpoint."""
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from math import sqrt
 from pathlib import Path
 from time import monotonic
-from typing import Any
+from typing import Any, Literal, Self
 
 import torch
 from safetensors import SafetensorError, safe_open
@@ -14,23 +14,23 @@ from safetensors.torch import save_file
 from torch import Tensor
 
 from services import disk
+from services.attacks.attack import Attack, State
+from services.attacks.differences import ImageDifferences
 from services.attacks.goal import ResolvedGoal
-from services.attacks.image_differences import ImageDifferences
-from services.attacks.method import Method
 from services.attacks.problem import (
     AttackProblem,
+    Counts,
     Evaluation,
-    check_count,
+    at_random_start,
     check_images,
     check_scores,
-    check_settings,
-    check_state,
+    differentiate,
     distances,
-    gradients,
-    quantize,
+    evaluate,
 )
+from services.attacks.square import Square
 from services.attacks.trace import TraceRow
-from services.errors import named
+from services.errors import JobFailure, named, summary
 from services.rendering.color import from_bytes, to_bytes
 from services.rendering.plan import ImageError
 from services.rendering.protocol import Parameters, Renderer
@@ -38,96 +38,42 @@ from services.rendering.variation import Variation, noisy, varied
 from services.targets.protocol import Target
 from services.targets.scores import probability
 
+StopReason = Literal["verified", "queries", "seconds", "steps"]
 
-@dataclass
-class AttackState:
-    """The loop's state. Together with the method's state it is enough to resume the attack."""
-
-    step: int = 0
-    restart: int = 0
-    """Number of the present start."""
-    began: int = 0
-    """The step at which it began."""
-    trace: list[TraceRow] = field(default_factory=list)
-    settings: dict[str, object] = field(default_factory=dict)
-    ever: Tensor = field(default_factory=lambda: torch.zeros(0, 0, dtype=torch.bool))
-    """Pixels that were ever truncated, bool [H, W]."""
-    below_noise: int = 0
-    """The number that `Method.advance` returned last."""
-    seconds: float = 0.0
-    stopped: str = ""
-    fooled: bool = False
-    verified: bool = False
-    stored_step: int = 0
-    sampled_error: tuple[float, float] | None = None
-    """The renderer's `sampled_error` until the last checkpoint, mean and share."""
-    stored: Parameters = field(default_factory=dict)
-    """The perturbation to store: the verified one, else the last that met the goal inside the loop, else the one
-    with the smallest advantage."""
-    image: Tensor = field(default_factory=lambda: torch.zeros(0, 0, 3, dtype=torch.uint8))
-    """The loop's image of the stored perturbation, truncated and rounded, uint8 [H, W, 3]."""
-    scores: Tensor = field(default_factory=lambda: torch.zeros(0))
-    """The network's scores of that image, [K]."""
-
-
-@dataclass(frozen=True)
-class Sampled:
-    """The answers to a perturbation under the variations of a step."""
-
-    logits: Tensor
-    """Scores of the images rounded to 8 bits, [samples, K]."""
-    gradients: list[Parameters]
-    """∂objective/∂perturbation of each, by group; none if no gradient was asked for."""
-
-    def answers(self, of_scene: Tensor) -> Tensor:
-        """The scores of the scene itself, [K], and of its variations: [1 + samples, K]."""
-        return torch.cat([of_scene[None], self.logits]) if len(self.logits) else of_scene[None]
-
-
-def sample(problem: AttackProblem, view: Evaluation, gradient: bool) -> Sampled:
-    """Asks the network about a perturbation under each variation of the step, with gradients if `gradient`.
-
-    Takes a query and an image for each variation. Raises as `AttackProblem.view` and `AttackProblem.logits` do.
-    """
-    rows, found = [], []
-    for variation in problem.variations:
-        with problem.under(variation), torch.set_grad_enabled(gradient):
-            own = problem.view(view.perturbation, gradient)
-            logits = problem.logits(quantize(own.images)[1])
-            if gradient:
-                found.append(gradients(problem, own, logits))
-        rows.append(logits.detach())
-    return Sampled(torch.cat(rows) if rows else torch.zeros(0, len(problem.target.labels)), found)
-
-
-def mean_gradients(of_scene: Parameters, sampled: Sampled) -> Parameters:
-    """The mean of the gradients at the scene itself and at its variations, by group."""
-    count = 1 + len(sampled.gradients)
-    return {group: sum((one[group] for one in sampled.gradients), own) / count for group, own in of_scene.items()}
+EVERY = 2.0
+"""Seconds between checkpoints."""
+DIFFERENCES = "image_differences"
+"""Name among a result's settings of those of `ImageDifferences`."""
 
 
 @dataclass
 class Verifier:
-    """Answers for stored perturbations; never sees the loop's own images. Counts what it asks and renders.
+    """The exact path: renders a perturbation afresh, rounds it to 8 bits and asks the network. It never sees the loop's
+    images. Groups that a perturbation leaves out are unperturbed; {} is the original.
 
-    Raises JobFailure for what is no image, and for what are no scores (`contract`).
+    Raises JobFailure for what is no image, and for what are no scores.
     """
 
     renderer: Renderer
     target: Target
-    queries: int = 0
-    renders: int = 0
+    counts: Counts = field(default_factory=Counts)
+    """Of what it renders and asks; an attack's problem shares it."""
+
+    @classmethod
+    def of(cls, problem: AttackProblem) -> Self:
+        """The verifier of a problem, which counts with it."""
+        return cls(problem.renderer, problem.target, problem.counts)
 
     @torch.no_grad()
     def render(self, perturbation: Mapping[str, Tensor], variation: Variation | None = None) -> Tensor:
-        """The exact image [H, W, 3] in [0,1], not yet rounded. Groups left out are unperturbed; {} is the original.
+        """The exact image [H, W, 3] in [0,1], not yet rounded.
 
         With a variation it is the image of the scene from that view and in that light.
         """
         exact = self.renderer.exact()
         start = exact.initial()
         changed = {g: (start[g] + perturbation[g].to(start[g].dtype))[None] for g in perturbation}
-        self.renders += 1
+        self.counts.renders += 1
         # always the whole parameter set: the same computation, bit for bit, for every subset of the groups
         parameters = {g: changed.get(g, start[g][None]) for g in exact.groups}
         with named(f"renderer {exact.name!r}"):
@@ -142,7 +88,7 @@ class Verifier:
     @torch.no_grad()
     def logits(self, image: Tensor) -> Tensor:
         """Scores [K] of an image, uint8 [H, W, 3]. The batch is always of one image, so that no other changes bits."""
-        self.queries += 1
+        self.counts.queries += 1
         with named(f"target {self.target.name!r}"):
             logits = self.target.logits(from_bytes(image)[None])
         check_scores(self.target, logits, 1)
@@ -153,32 +99,317 @@ class Verifier:
         return bool(goal.fooled(self.logits(self.image(perturbation))))
 
 
-EVERY = 2.0
-"""Seconds between checkpoints."""
-COUNTS = 5
-"""Counts that a checkpoint keeps."""
-_WORDS = "step restart began settings below_noise seconds stopped fooled verified stored_step sampled_error"
-_PLAIN = tuple(_WORDS.split())
-_BACKENDS = "backends"
+@dataclass(frozen=True)
+class Best:
+    """The perturbation to store: the verified one, else the last that met the goal inside the loop, else the one with
+    the smallest advantage. With an expectation it is the one whose goal is met under most variations.
+    """
+
+    step: int
+    delta: Tensor
+    """[total]"""
+    saved: Tensor
+    """The loop's image of it, truncated and rounded, uint8 [H, W, 3]."""
+    scores: Tensor
+    """The network's scores of that image, [K]."""
 
 
-def save(path: Path, run: AttackState, problem: AttackProblem, method: Method, verifier: Verifier) -> None:
-    """Writes the loop's state, the method's state, and the query and render counts of `problem` and `verifier`."""
-    tensors = {f"method.{name}": value for name, value in method.state().items()}
-    tensors |= {f"stored.{group}": value for group, value in run.stored.items()}
-    tensors |= {"ever": run.ever, "image": run.image, "scores": run.scores}
-    words = {name: getattr(run, name) for name in _PLAIN}
-    words["trace"] = [row.model_dump() for row in run.trace]
-    words["counts"] = [
-        problem.queries,
-        problem.renders,
-        problem.surrogate_queries,
-        verifier.queries,
-        verifier.renders,
-    ]
-    words[_BACKENDS] = _backends(problem, verifier)
+@dataclass
+class AttackRun:
+    """How far an attack has come. All but its first five fields and the clock is in the checkpoint.
+
+    `begin_or_resume` makes one, `run_attack` runs it.
+    """
+
+    problem: AttackProblem
+    attack: Attack
+    verifier: Verifier
+    """Shares `counts` with the problem."""
+    checkpoint: Path | None = None
+    on_row: Callable[[TraceRow], None] = lambda _: None
+    state: State = field(default_factory=dict)
+    settings: dict[str, object] = field(default_factory=dict)
+    """The settings that were found by measuring, as JSON."""
+    step: int = 0
+    restart: int = 0
+    """Number of the present start."""
+    trace: list[TraceRow] = field(default_factory=list)
+    below_noise: int = 0
+    """In the last step: estimates below the noise, or groups whose gradient is zero."""
+    ever_truncated: Tensor = field(default_factory=lambda: torch.zeros(0, 0, dtype=torch.bool))
+    """Pixels that were ever truncated, bool [H, W]."""
+    best: Best | None = None
+    fooled: bool = False
+    """Whether the goal was ever met inside the loop."""
+    verified: bool = False
+    stopped: StopReason | None = None
+    earlier_error: ImageError | None = None
+    """The renderer's `sampled_error` in earlier processes."""
+    began: float = field(default_factory=monotonic)
+    """When it would have begun without interruptions, in seconds of the monotonic clock; `last_saved` likewise."""
+    last_saved: float = field(default_factory=monotonic)
+
+    @classmethod
+    def begin_or_resume(
+        cls,
+        problem: AttackProblem,
+        attack: Attack,
+        verifier: Verifier,
+        checkpoint: Path | None = None,
+        on_row: Callable[[TraceRow], None] = lambda _: None,
+    ) -> Self:
+        """The attack as it was when the file `checkpoint` was written, or before its first step if there is no such
+        file or it cannot be used (`load`). The settings that it measures are measured once. Raises ValueError unless
+        problem and verifier share their counts.
+        """
+        if verifier.counts is not problem.counts:
+            raise ValueError("the queries of the problem and of the verifier must be counted together: share `counts`")
+        run = cls(problem, attack, verifier, checkpoint, on_row)
+        run.ever_truncated = torch.zeros(problem.renderer.size, dtype=torch.bool)
+        needs_differences = attack.needs_gradient and not problem.renderer.differentiable
+        if checkpoint is not None and load(checkpoint, run):
+            if needs_differences:
+                measured: Any = run.settings[DIFFERENCES]
+                differences = ImageDifferences.at(problem, measured["delta"], keeps_metric=attack.needs_metric)
+                run.problem = replace(run.problem, differences=differences)
+            return run
+        if needs_differences:
+            differences = ImageDifferences.measure(problem, keeps_metric=attack.needs_metric)
+            run.problem = replace(problem, differences=differences)
+        run.begin()
+        with named(run.name):
+            run.settings = attack.measured(run.problem, run.state)
+            check_settings(run.settings)
+        if needs_differences:
+            run.settings = run.settings | {DIFFERENCES: differences.settings(problem)}
+        return run
+
+    @property
+    def name(self) -> str:
+        """The attack in errors."""
+        return f"method {self.attack.method!r}"
+
+    @property
+    def seconds(self) -> float:
+        """Run time so far, over all processes."""
+        return monotonic() - self.began
+
+    @property
+    def own_step(self) -> int:
+        """Steps of the present start."""
+        return self.step - self.problem.first_step
+
+    @property
+    def stored(self) -> Parameters:
+        """The best perturbation, by group."""
+        assert self.best is not None
+        return self.problem.layout.unflatten(self.best.delta)
+
+    @property
+    def sampled_error(self) -> ImageError | None:
+        """The largest error of the images that were rendered exactly too, in all processes; None if none was.
+
+        Whether an image is rendered twice depends on its parameters alone, so an attack that was resumed has the same.
+        """
+        own = self.problem.renderer.sampled_error
+        return self.earlier_error if own is None else own.or_worse(self.earlier_error)
+
+    def begin(self) -> None:
+        """Begins the present start."""
+        with named(self.name):
+            self.state = self.attack.init(self.problem)
+            check_state(self.state)
+
+    def record(self, evaluation: Evaluation) -> None:
+        """Adds a row to the trace, keeps the best perturbation, and verifies one whose image meets the goal.
+
+        With an expectation the goal must be met under all variations of the step. Truncation makes image and scene
+        disagree: the verifier may refuse what fooled the network here, and the attack then goes on.
+        """
+        fooled = bool(self.problem.goal.fooled(evaluation.scores))
+        row = self.row(evaluation)
+        self.ever_truncated |= evaluation.truncated.cpu()
+        if self.replaces_best(row, fooled):
+            one = evaluation.detached()
+            self.best = Best(self.step, one.delta.clone(), one.saved.cpu().clone(), one.scores.cpu().clone())
+        self.fooled |= fooled
+        if fooled and row.share in (None, 1.0):
+            self.verified = self.verifier.fooled(self.stored, self.problem.goal)
+        self.trace.append(row)
+        self.on_row(row)
+        self.stopped = self.stop_reason()
+
+    def replaces_best(self, row: TraceRow, fooled: bool) -> bool:
+        """Whether the perturbation of a row is to be stored in place of the best so far."""
+        if self.best is None:
+            return True
+        better = rank(row) >= rank(self.trace[self.best.step])
+        if row.share is not None:
+            return better
+        return fooled or (better and not self.fooled)
+
+    def row(self, evaluation: Evaluation) -> TraceRow:
+        """The trace's row of an evaluation."""
+        problem, goal, scores = self.problem, self.problem.goal, evaluation.scores.detach()
+        minimised = problem.objective if self.attack.needs_gradient else goal.advantage
+        height, width = problem.renderer.size
+        distance = float(distances(evaluation.image.detach(), problem.original)[0])
+        label = int(scores.argmax())
+        samples = evaluation.answers[1:]
+        return TraceRow(
+            step=self.step,
+            restart=self.restart,
+            loss=float(goal.loss(scores)),
+            label=problem.target.labels[label],
+            confidence=float(probability(scores, label)),
+            advantage=float(goal.advantage(scores)),
+            objective=float(minimised(evaluation.answers).mean()) + problem.distance_weight * distance**2,
+            share=float(goal.fooled(samples).double().mean()) if len(samples) else None,
+            distance=distance,
+            perceptibility=distance / sqrt(height * width),
+            truncated=int(evaluation.truncated.sum()),
+            below_noise=self.below_noise,
+            queries=problem.counts.queries,
+            surrogate_queries=problem.counts.surrogate_queries,
+            renders=problem.counts.renders,
+            seconds=self.seconds,
+        )
+
+    def stop_reason(self) -> StopReason | None:
+        """Why the attack stops now; None if it goes on."""
+        attack = self.attack
+        if self.verified:
+            return "verified"
+        if attack.queries is not None and self.problem.counts.queries >= attack.queries:
+            return "queries"
+        if attack.seconds is not None and self.seconds >= attack.seconds:
+            return "seconds"
+        return "steps" if self.own_step >= attack.steps else None  # the last reason, since a restart may follow it
+
+    def advance(self, evaluation: Evaluation) -> None:
+        """Takes one step of the attack."""
+        if self.attack.needs_gradient:
+            evaluation = differentiate(self.problem, evaluation)
+        objective = float(self.problem.objective(evaluation.answers).mean())
+        evaluation = replace(evaluation.detached(), objective=objective)
+        with named(self.name):
+            self.state = self.attack.step(self.problem, self.state, evaluation)
+            check_state(self.state)
+            self.below_noise = below_noise(self.problem, self.state, evaluation)
+        self.step += 1
+
+    def restart_if_spent(self) -> None:
+        """If a start has taken all its steps, begins the next one, if any, at a random point.
+
+        Trace, counts and the best perturbation so far are kept.
+        """
+        if self.stopped != "steps" or self.restart >= self.attack.restarts:
+            return
+        self.restart, self.step, self.stopped, self.below_noise = self.restart + 1, self.step + 1, None, 0
+        self.problem = at_random_start(self.problem, self.restart, self.step)
+        self.begin()
+
+    def save_if_due(self) -> None:
+        """Writes the checkpoint, if there is to be one, every few seconds."""
+        if self.checkpoint is not None and monotonic() - self.last_saved > EVERY:
+            save(self.checkpoint, self)
+            self.last_saved = monotonic()
+
+
+def run_attack(run: AttackRun) -> AttackRun:
+    """Attacks until an adversary is verified or the budget is spent, and returns `run`.
+
+    At every step the network classifies the image rounded to 8 bits. If the goal is met, the verifier renders the
+    perturbation by the exact path and asks the network again. The loop ends if that image meets the goal too, and goes
+    on otherwise. `attack.steps` is the limit of each start, `attack.queries` counts every image that the network
+    classifies, verification included, and `attack.seconds` is wall-clock time over all processes.
+
+    Raises JobFailure("non-finite") if an image, a score or a gradient is not finite, JobFailure("internal") if
+    renderer, target or attack break their protocol, and what `problem.interrupt` raises.
+    """
+    while run.stopped is None:
+        delta = run.state["delta"]
+        evaluation = evaluate(run.problem, delta, run.own_step, gradient=run.attack.needs_gradient)
+        run.record(evaluation)
+        if run.stopped is None:
+            run.advance(evaluation)
+        run.restart_if_spent()
+        run.save_if_due()
+    return run
+
+
+def check_masking(run: AttackRun, queries: int) -> dict[str, object]:
+    """The alarm for masked gradients: attacks the problem of a run that held by Square, which needs no gradient, with
+    at most `queries` steps and within the same limits. Returns its outcome.
+
+    `square` is "fooled" if it found a verified adversary, else "held"; `queries` is the number of its steps. Where
+    Square succeeds, the gradient misled the run. What it takes is counted with the run's. Raises as `run_attack` does.
+    """
+    problem = replace(run.problem, loss="margin", start=run.problem.nothing, first_step=0)
+    attack = Square.model_construct(epsilon=dict(problem.limits.epsilon), steps=queries)
+    square = AttackRun.begin_or_resume(problem, attack, run.verifier)
+    run_attack(square)
+    return {"square": "fooled" if square.verified else "held", "queries": square.step}
+
+
+def rank(row: TraceRow) -> tuple[bool, float, float]:
+    """How good a perturbation is to store. Without an expectation it is the advantage alone."""
+    if row.share is None:
+        return False, 0.0, -row.advantage
+    return row.advantage < 0, row.share, -row.objective
+
+
+def below_noise(problem: AttackProblem, state: State, evaluation: Evaluation) -> int:
+    """The count of the state's `below_noise`, or of groups whose gradient is zero throughout."""
+    if "below_noise" in state:
+        return int(state["below_noise"])
+    if evaluation.gradient is None:
+        return 0
+    groups = problem.layout.unflatten(evaluation.gradient).values()
+    return sum(bool(gradient.min() == gradient.max() == 0) for gradient in groups)
+
+
+def check_settings(settings: object) -> None:
+    """Raises JobFailure unless `Attack.measured` returned a dict that can be stored as JSON."""
+    try:
+        if isinstance(settings, dict):
+            json.dumps(settings, allow_nan=False)
+            return
+    except (TypeError, ValueError) as error:
+        raise JobFailure("internal", f"the settings that the attack measured are not JSON: {summary(error)}") from error
+    raise JobFailure("internal", f"the attack's `measured` returned a {type(settings).__name__}; a dict is due")
+
+
+def check_state(state: object) -> None:
+    """Raises JobFailure unless `state` is tensors by name, which a checkpoint can save, and has a `delta`."""
+    if not isinstance(state, dict) or not all(isinstance(value, Tensor) for value in state.values()):
+        raise JobFailure("internal", "the attack's state is no dict of tensors; a checkpoint could not save it")
+    if "delta" not in state:
+        raise JobFailure("internal", "the attack's state has no `delta`, its perturbation")
+
+
+# The checkpoint: one safetensors file, replaced atomically
+
+
+def save(path: Path, run: AttackRun) -> None:
+    """Writes how far the attack has come."""
+    tensors = {f"state.{name}": value for name, value in run.state.items()} | {"ever_truncated": run.ever_truncated}
+    words: dict[str, Any] = {name: getattr(run, name) for name in _PLAIN}
+    if run.best is not None:
+        words["best_step"] = run.best.step
+        tensors |= {f"best.{name}": getattr(run.best, name) for name in ("delta", "saved", "scores")}
+    error = run.sampled_error
+    words |= {
+        "first_step": run.problem.first_step,
+        "seconds": run.seconds,
+        "trace": [row.model_dump() for row in run.trace],
+        "counts": vars(run.problem.counts),
+        "error": None if error is None else (error.mean, error.share),
+        "layout": {group: list(shape) for group, shape in run.problem.layout.shapes.items()},
+        "backends": _backends(run),
+    }
     with disk.replacing(path) as part:
-        # safetensors saves no two tensors that share memory, as a method's may
+        # safetensors saves no two tensors that share memory, as a state's may
         save_file(
             {name: value.detach().clone(memory_format=torch.contiguous_format) for name, value in tensors.items()},
             part,
@@ -186,39 +417,38 @@ def save(path: Path, run: AttackState, problem: AttackProblem, method: Method, v
         )
 
 
-def load(path: Path | None, problem: AttackProblem, method: Method, verifier: Verifier) -> AttackState | None:
-    """Returns the saved state of the loop, or None if `path` is None, missing, damaged, of an earlier version, or of
-    other backends: a machine whose images differ in their last bits does not go on where another one stopped.
+_PLAIN = ("step", "restart", "settings", "below_noise", "stopped", "fooled", "verified")
 
-    Also loads the method's state into `method`, and the counts into `problem` and `verifier`. After None the attack
-    starts again and ends in the same result.
+
+def load(path: Path, run: AttackRun) -> bool:
+    """Takes an attack up where a checkpoint left it, with its counts. Returns False, and changes nothing, for a file
+    that is missing, damaged, of another version, or of other backends: a machine whose images differ in their last bits
+    does not go on where another one stopped. The attack then starts again and ends in the same result.
     """
-    if path is None or not path.exists():
-        return None
     try:
         with safe_open(path, "pt") as file:
             words = _words(file)
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a mapping
-    except (SafetensorError, KeyError, ValueError, OSError):
-        return None
-    if not words.keys() >= {*_PLAIN, _BACKENDS} or len(words["counts"]) != COUNTS:  # an earlier version's
-        return None
-    if words[_BACKENDS] != _backends(problem, verifier):
-        return None
-    run = AttackState(**{name: words[name] for name in _PLAIN})
-    assert {field.name for field in fields(run)} == {*_PLAIN, "trace", "ever", "stored", "image", "scores"}
-    run.trace = [TraceRow(**row) for row in words["trace"]]
-    run.ever, run.image, run.scores = tensors["ever"], tensors["image"], tensors["scores"]
-    # the file has them sorted by name; the result lists its subsets and shares in the problem's order
-    run.stored = {group: tensors[f"stored.{group}"] for group in problem.groups}
-    method.load({n.removeprefix("method."): v for n, v in tensors.items() if n.startswith("method.")})
-    problem.queries, problem.renders, problem.surrogate_queries, *of_verifier = words["counts"]
-    verifier.queries, verifier.renders = of_verifier
-    return run
+        if words["backends"] != _backends(run):
+            return False
+        plain = {name: words[name] for name in _PLAIN}
+        best = Best(words["best_step"], *(tensors[f"best.{name}"] for name in ("delta", "saved", "scores")))
+        trace, counts, problem = [TraceRow(**row) for row in words["trace"]], Counts(**words["counts"]), run.problem
+        for number in range(1, words["restart"] + 1):
+            problem = at_random_start(problem, number, words["first_step"])
+        error = None if words["error"] is None else ImageError(*words["error"])
+        ever_truncated, began = tensors["ever_truncated"], monotonic() - words["seconds"]
+    except (SafetensorError, KeyError, TypeError, ValueError, OSError):
+        return False
+    vars(run).update(plain, best=best, trace=trace, problem=problem, earlier_error=error, began=began)
+    run.ever_truncated = ever_truncated
+    run.state = {name.removeprefix("state."): v for name, v in tensors.items() if name.startswith("state.")}
+    vars(problem.counts).update(vars(counts))
+    return True
 
 
 @dataclass(frozen=True)
-class Best:
+class UnfinishedBest:
     """The perturbation that an attack would store if it ended at its checkpoint."""
 
     stored: Parameters
@@ -229,15 +459,16 @@ class Best:
     """Images that the target had classified by then."""
 
 
-def best(path: Path) -> Best | None:
+def best(path: Path) -> UnfinishedBest | None:
     """The best perturbation of a checkpoint; None if there is none or it is damaged."""
     try:
         with safe_open(path, "pt") as file:
-            words = _words(file)
-            names = [name for name in file.keys() if name.startswith("stored.")]  # noqa: SIM118 - not a mapping
-            stored = {name.removeprefix("stored."): file.get_tensor(name) for name in names}
+            words, delta = _words(file), file.get_tensor("best.delta")
+        shapes = [torch.Size(shape) for shape in words["layout"].values()]
+        parts = delta.split([shape.numel() for shape in shapes])
+        stored = {g: part.reshape(shape) for g, part, shape in zip(words["layout"], parts, shapes, strict=True)}
         last = words["trace"][-1]
-        return Best(stored, words["stored_step"], last["step"], last["queries"]) if stored else None
+        return UnfinishedBest(stored, words["best_step"], last["step"], last["queries"])
     except (SafetensorError, LookupError, ValueError, OSError):
         return None
 
@@ -256,251 +487,5 @@ def _words(file: Any) -> dict[str, Any]:
     return words
 
 
-def _backends(problem: AttackProblem, verifier: Verifier) -> list[str]:
-    return [problem.renderer.backend, verifier.renderer.backend, problem.target.backend]
-
-
-DIFFERENCES = "image_differences"
-"""Name among a result's settings of those of `ImageDifferences`."""
-
-
-@dataclass(frozen=True)
-class Budget:
-    """The limits at which an attack stops without success; None means no limit.
-
-    `queries` counts every image that the network classifies, verification included. `seconds` is wall-clock time over
-    all attempts of a job. `steps` is the limit of each start.
-    """
-
-    steps: int
-    queries: int | None = None
-    seconds: float | None = None
-
-
-def run(
-    problem: AttackProblem,
-    method: Method,
-    verifier: Verifier,
-    budget: Budget,
-    *,
-    checkpoint_path: Path | None = None,
-    on_row: Callable[[TraceRow], None] = lambda _: None,
-    restarts: int = 0,
-    fresh: Callable[[], Method] | None = None,
-) -> AttackState:
-    """Attacks until an adversary is verified or the budget is spent, and returns the final state.
-
-    At every step the network classifies the image rounded to 8 bits. If the goal is met, the verifier renders the
-    perturbation by the exact path and asks the network again. The loop ends if that image meets the goal too, and goes
-    on otherwise (truncation makes image and parameters disagree).
-
-    The attack resumes from the file `checkpoint_path` if it holds a readable checkpoint, and writes it every few
-    seconds. It calls `on_row` with every new row of the trace. A start that took all its steps is followed by up to
-    `restarts` others, whose methods `fresh` makes.
-
-    Raises JobFailure("non-finite") if an image, a score or a gradient is not finite, JobFailure("internal") if
-    renderer, target or method break their protocol (`contract`), and what `problem.interrupt` raises.
-    """
-    attack = _Running(problem, method, verifier, budget, checkpoint_path, on_row, restarts, fresh)
-    state = attack.begin_or_resume()
-    while not state.stopped:
-        view, image, logits = attack.evaluate()
-        sampled = sample(problem, view, attack.method.needs_gradient)
-        attack.record(view, image, logits[0].detach(), sampled)
-        if not state.stopped:
-            attack.advance(attack.differentiate(view, logits, sampled))
-        attack.restart_if_spent()
-        attack.save_if_due()
-    return state
-
-
-@dataclass
-class _Running:
-    """An attack under way: the arguments of `run`, and how far it has come."""
-
-    problem: AttackProblem
-    method: Method
-    verifier: Verifier
-    budget: Budget
-    checkpoint_path: Path | None
-    on_row: Callable[[TraceRow], None]
-    restarts: int
-    fresh: Callable[[], Method] | None
-    state: AttackState = field(init=False)
-    began: float = field(init=False)
-    """When it would have begun without interruptions, in seconds of the monotonic clock; `last_saved` likewise."""
-    last_saved: float = field(init=False)
-
-    @property
-    def name(self) -> str:
-        return f"method {type(self.method).__name__!r}"
-
-    @property
-    def seconds(self) -> float:
-        return monotonic() - self.began
-
-    def begin_or_resume(self) -> AttackState:
-        """The state, from the checkpoint if there is one; else the method is started."""
-        with named(self.name):
-            saved = load(self.checkpoint_path, self.problem, self.method, self.verifier)
-        self.state = saved or AttackState(ever=torch.zeros(self.problem.renderer.size, dtype=torch.bool))
-        for number in range(1, self.state.restart + 1):
-            self.problem.restart(number)
-        self.began, self.last_saved = monotonic() - self.state.seconds, monotonic()
-        resumed = bool(self.state.settings or self.state.trace)
-        measured = self._differences(resumed)
-        if not resumed:
-            self.state.settings = self.start() | measured
-        return self.state
-
-    def _differences(self, resumed: bool) -> dict[str, object]:
-        """Prepares differences of images if the method needs gradients through a renderer that has none. Returns their
-        settings as `image_differences`, from which a resumed attack takes them.
-        """
-        problem = self.problem
-        if problem.renderer.differentiable or not self.method.needs_gradient:
-            return {}
-        if resumed:
-            settings: Any = self.state.settings[DIFFERENCES]
-            differences = ImageDifferences.load(problem, settings)
-        else:
-            differences = ImageDifferences.measure(problem)
-        problem.differences = differences
-        return {DIFFERENCES: differences.settings(problem)}
-
-    def start(self) -> dict[str, object]:
-        """Starts the method. Returns the settings that it measured."""
-        self.problem.draw(self.state.step)
-        with named(self.name):
-            settings = self.method.start(self.problem)
-            check_state(self.method.state())
-        check_settings(settings)
-        return settings
-
-    def evaluate(self) -> tuple[Evaluation, Tensor, Tensor]:
-        """The view of the present perturbation, its image as saved (uint8 [H, W, 3]) and that image's scores [1, K],
-        with a graph if the method needs gradients.
-        """
-        problem, gradient = self.problem, self.method.needs_gradient
-        problem.draw(self.state.step)
-        with named(self.name):
-            perturbation = self.method.perturbation
-        view = problem.view(perturbation, gradient=gradient)
-        with torch.set_grad_enabled(gradient):
-            images, rounded = quantize(view.images)
-            return view, images[0], problem.logits(rounded)
-
-    def record(self, view: Evaluation, image: Tensor, logits: Tensor, sampled: Sampled) -> None:
-        """Records an evaluation, its image as saved (uint8 [H, W, 3]) and the scores [K]; verifies; may stop.
-
-        With an expectation an attack is verified only once the answers to all variations of a step meet the goal too.
-        """
-        state, problem, verifier = self.state, self.problem, self.verifier
-        row = self._row(view, logits, sampled)
-        fooled = bool(problem.goal.fooled(logits))
-        state.ever |= view.truncated.cpu()
-        best = not state.trace or _rank(row) >= _rank(state.trace[state.stored_step])
-        if best if problem.variations else fooled or (best and not state.fooled):
-            state.stored = {group: view.perturbation[group].detach().clone() for group in problem.groups}
-            state.stored_step = state.step
-            state.image, state.scores = image.cpu().clone(), logits.cpu().clone()
-        state.fooled |= fooled
-        if fooled and row.share in (None, 1.0):
-            state.verified = verifier.fooled(state.stored, problem.goal)
-        state.trace.append(row)
-        self.on_row(row)
-        state.stopped = self._stop_reason()
-
-    def _row(self, view: Evaluation, logits: Tensor, sampled: Sampled) -> TraceRow:
-        state, problem, verifier = self.state, self.problem, self.verifier
-        minimised = problem.objective if self.method.needs_gradient else problem.goal.advantage
-        height, width = problem.renderer.size
-        distance = float(distances(view.images.detach(), problem.original)[0])
-        label = int(logits.argmax())
-        return TraceRow(
-            step=state.step,
-            restart=state.restart,
-            loss=float(problem.goal.loss(logits)),
-            label=problem.target.labels[label],
-            confidence=float(probability(logits, label)),
-            advantage=float(problem.goal.advantage(logits)),
-            objective=float(minimised(sampled.answers(logits)).mean()) + problem.weight * distance**2,
-            share=float(problem.goal.fooled(sampled.logits).double().mean()) if problem.variations else None,
-            distance=distance,
-            perceptibility=distance / sqrt(height * width),
-            truncated=int(view.truncated.sum()),
-            below_noise=state.below_noise,
-            queries=problem.queries + verifier.queries,
-            surrogate_queries=problem.surrogate_queries,
-            renders=problem.renders + verifier.renders,
-            seconds=self.seconds,
-        )
-
-    def _stop_reason(self) -> str:
-        state, budget = self.state, self.budget
-        if state.verified:
-            return "verified"
-        if budget.queries is not None and self.problem.queries + self.verifier.queries >= budget.queries:
-            return "queries"
-        if budget.seconds is not None and self.seconds >= budget.seconds:
-            return "seconds"
-        if state.step - state.began >= budget.steps:
-            return "steps"  # the last reason, since a restart may follow it
-        return ""
-
-    def differentiate(self, view: Evaluation, logits: Tensor, sampled: Sampled) -> Evaluation:
-        """The view with the objective and, if the method needs them, gradients, means over the variations of the step.
-        `logits` are the scores [1, K] of `evaluate`.
-        """
-        mean: Parameters = {}
-        if self.method.needs_gradient:
-            mean = mean_gradients(gradients(self.problem, view, logits), sampled)
-        objective = float(self.problem.objective(sampled.answers(logits[0].detach())).mean())
-        return replace(view, gradients=mean, objective=objective)
-
-    def advance(self, view: Evaluation) -> None:
-        with named(self.name):
-            step = self.state.step - self.state.began
-            self.state.below_noise = self.method.advance(self.problem, view, step)
-        check_count(self.state.below_noise)
-        self.state.step += 1
-
-    def restart_if_spent(self) -> None:
-        """If a start has taken all its steps, begins the next one, if any, at a random point and with a fresh method.
-
-        Trace, counts and the best perturbation so far are kept.
-        """
-        state = self.state
-        if state.stopped != "steps" or state.restart >= self.restarts or self.fresh is None:
-            return
-        state.restart, state.step, state.stopped = state.restart + 1, state.step + 1, ""
-        state.began, state.below_noise = state.step, 0
-        self.problem.restart(state.restart)
-        with named(self.name):
-            self.method = self.fresh()
-        self.start()
-
-    def save_if_due(self) -> None:
-        state, self.state.seconds = self.state, self.seconds
-        sampled = sampled_error(state, self.problem)
-        state.sampled_error = None if sampled is None else (sampled.mean, sampled.share)
-        if self.checkpoint_path is not None and monotonic() - self.last_saved > EVERY:
-            save(self.checkpoint_path, state, self.problem, self.method, self.verifier)
-            self.last_saved = monotonic()
-
-
-def sampled_error(state: AttackState, problem: AttackProblem) -> ImageError | None:
-    """The largest error of the images that were rendered exactly too, in this and earlier processes; None if none was.
-
-    Whether an image is rendered twice depends on its parameters alone, so an attack that was resumed has the same.
-    """
-    earlier = None if state.sampled_error is None else ImageError(*state.sampled_error)
-    own = problem.renderer.sampled_error
-    return earlier if own is None else own.or_worse(earlier)
-
-
-def _rank(row: TraceRow) -> tuple[bool, float, float]:
-    """How good a perturbation is to store. Without an expectation it is the advantage alone."""
-    if row.share is None:
-        return False, 0.0, -row.advantage
-    return row.advantage < 0, row.share, -row.objective
+def _backends(run: AttackRun) -> list[str]:
+    return [run.problem.renderer.backend, run.verifier.renderer.backend, run.problem.target.backend]

@@ -2,32 +2,34 @@
 
 from __future__ import annotations
 
-from math import sqrt
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from math import inf, sqrt
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
-from services.attacks.attack import AttackSettings, register, renderer_names, suggested_limits
+from services.attacks.attack import Attack, register, renderer_names, suggested_limits
 from services.attacks.losses import DESCRIPTION, Loss
 from services.rendering.declaration import RENDERERS
 
 if TYPE_CHECKING:
-    from torch import Tensor
+    from torch import Generator, Tensor
 
+    from services.attacks.attack import State
     from services.attacks.problem import AttackProblem, Evaluation
-    from services.rendering.protocol import Parameters
 
 HALVED_AFTER = (10, 50, 200, 500, 1000, 2000, 4000, 6000, 8000)
 """Steps of a run of 10,000 after which the share of the pixels in a square is halved; shorter runs are scaled."""
 
 
-class Square(AttackSettings):
+@register
+class Square(Attack):
     """Square Attack (Andriushchenko et al. 2020): a square at a random place is set to ±ε in each channel, and kept if
     the objective falls. It needs scores only, one query a step. Where it succeeds and gradient methods hold, the
     network's gradient misleads them.
     """
 
     method: Literal["square"] = "square"
+    needs_gradient: ClassVar[bool] = False
     renderer: str = Field(
         "image", description="the renderer whose parameters are attacked", json_schema_extra=renderer_names
     )
@@ -54,78 +56,32 @@ class Square(AttackSettings):
         self.check_groups("epsilon", self.epsilon)
         return self
 
+    def init(self, problem: AttackProblem) -> State:
+        """Nothing is kept yet."""
+        return {"delta": problem.start, "best": problem.start, "objective": problem.start.double().new_tensor(inf)}
 
-def groups_without_pixels(settings: AttackSettings) -> list[str]:
+    def step(self, problem: AttackProblem, state: State, evaluation: Evaluation) -> State:
+        """Keeps what was tried if it is better, and draws the next; its evaluation by the loop is the only query.
+
+        The first is of vertical stripes of ±ε, and is kept whatever its objective.
+        """
+        random, step = problem.generator("square", evaluation.step), evaluation.step
+        best, objective = state["best"], state["objective"]
+        if step == 1 or (step and evaluation.objective < float(objective)):
+            best, objective = evaluation.delta, objective.new_tensor(evaluation.objective)
+        side = square_side(self.share, step - 1, self.steps, problem.renderer.size)
+        tried = {}
+        for group, value in problem.layout.unflatten(best).items():
+            epsilon = self.epsilon[group]
+            tried[group] = with_square(value, epsilon, side, random) if step else stripes(value, epsilon, random)
+        delta = problem.limits.clamp(problem.layout.flatten(tried))
+        return {"delta": delta, "best": best, "objective": objective}
+
+
+def groups_without_pixels(settings: Attack) -> list[str]:
     """The attacked groups that have no values by pixel, in which there are no squares."""
     declared = RENDERERS[settings.renderer]
     return [group for group in settings.groups if declared.group(group).shape[:2] != ("H", "W")]
-
-
-@register(Square)
-class SquareMethod:
-    """The perturbation is the one to try; its evaluation by the loop is the only query of a step.
-
-    The first is of vertical stripes of ±ε, and is kept whatever its objective.
-    """
-
-    needs_gradient = False
-
-    def __init__(self, settings: Square, problem: AttackProblem) -> None:
-        import torch
-
-        self.settings = settings
-        self.tried: Parameters = problem.beginning
-        self.best: Parameters = problem.beginning
-        self.best_objective = torch.tensor(torch.inf, dtype=torch.float64)
-
-    @property
-    def perturbation(self) -> Parameters:
-        """The perturbation to try, by group."""
-        return self.tried
-
-    def start(self, problem: AttackProblem) -> dict[str, object]:  # noqa: ARG002 - nothing to measure
-        """Square measures no settings."""
-        return {}
-
-    def advance(self, problem: AttackProblem, view: Evaluation, step: int) -> int:
-        """Keeps what was tried if it is better, and draws the next. Returns 0: no difference is taken."""
-        from services.attacks.seeds import generator
-
-        random = generator(problem.seed, "square", step)
-        if step == 0:
-            self.tried = problem.clamp({g: self._stripes(g, v, random) for g, v in self.best.items()})
-            return 0
-        if step == 1 or view.objective < float(self.best_objective):
-            self.best = view.perturbation
-            self.best_objective = self.best_objective.new_tensor(view.objective)
-        side = square_side(self.settings.share, step - 1, self.settings.steps, problem.renderer.size)
-        self.tried = problem.clamp({g: self._with_square(g, v, side, random) for g, v in self.best.items()})
-        return 0
-
-    def state(self) -> dict[str, Tensor]:
-        """The best perturbation, its objective, and the one to try."""
-        named = {f"best.{g}": v for g, v in self.best.items()} | {f"tried.{g}": v for g, v in self.tried.items()}
-        return named | {"best_objective": self.best_objective}
-
-    def load(self, state: dict[str, Tensor]) -> None:
-        """Continues from `state()`."""
-        self.best = {g: state[f"best.{g}"] for g in self.best}
-        self.tried = {g: state[f"tried.{g}"] for g in self.tried}
-        self.best_objective = state["best_objective"]
-
-    def _stripes(self, group: str, value: Tensor, random: Any) -> Tensor:
-        return _signs((1, *value.shape[1:]), random).to(value.dtype).expand_as(value) * self.settings.epsilon[group]
-
-    def _with_square(self, group: str, value: Tensor, side: int, random: Any) -> Tensor:
-        """The group's perturbation [H, W, …] with a square of random place moved by ±2ε, which clamping makes ±ε."""
-        import torch
-
-        height, width, *channels = value.shape
-        top, left = (int(torch.randint(0, n - side + 1, (), generator=random)) for n in (height, width))
-        moved = value.clone()
-        change = 2 * self.settings.epsilon[group] * _signs((1, 1, *channels), random).to(value.dtype)
-        moved[top : top + side, left : left + side] += change
-        return moved
 
 
 def square_side(share: float, step: int, steps: int, size: tuple[int, int]) -> int:
@@ -135,7 +91,23 @@ def square_side(share: float, step: int, steps: int, size: tuple[int, int]) -> i
     return min(max(side, 1), *size)
 
 
-def _signs(shape: tuple[int, ...], random: Any) -> Tensor:
+def stripes(value: Tensor, epsilon: float, random: Generator) -> Tensor:
+    """Vertical stripes of ±ε, of the shape [H, W, …] of a group's value."""
+    return _signs((1, *value.shape[1:]), random).to(value.dtype).expand_as(value) * epsilon
+
+
+def with_square(value: Tensor, epsilon: float, side: int, random: Generator) -> Tensor:
+    """A group's perturbation [H, W, …] with a square of random place moved by ±2ε, which clamping makes ±ε."""
+    import torch
+
+    height, width, *channels = value.shape
+    top, left = (int(torch.randint(0, n - side + 1, (), generator=random)) for n in (height, width))
+    moved = value.clone()
+    moved[top : top + side, left : left + side] += 2 * epsilon * _signs((1, 1, *channels), random).to(value.dtype)
+    return moved
+
+
+def _signs(shape: tuple[int, ...], random: Generator) -> Tensor:
     """Random values of ±1 in float64."""
     import torch
 

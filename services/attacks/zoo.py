@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
-from services.attacks.attack import AttackSettings, Rate, register, suggested
+from services.attacks.attack import Attack, Rate, register, suggested
 from services.errors import JobFailure
 from services.rendering.declaration import RENDERERS
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from torch import Tensor
 
+    from services.attacks.attack import State
     from services.attacks.problem import AttackProblem, Evaluation
-    from services.rendering.protocol import InactiveCoordinate, Parameters
 
 PRESETS: dict[str, dict[str, Any]] = {
     "paper-classification": {"delta": 1e-4, "learning_rate": 2e-3, "weight": 0.1, "steps": 500},
@@ -42,12 +40,14 @@ REACH = 10
 Step = Annotated[float, Field(ge=1e-12, le=1, allow_inf_nan=False)]
 
 
-class Zoo(AttackSettings):
+@register
+class Zoo(Attack):
     """Zeroth-order optimisation: Adam on central differences at random coordinates, of loss + weight·‖ΔY‖² (paper,
     section 3.2).
     """
 
     method: Literal["zoo"] = "zoo"
+    needs_gradient: ClassVar[bool] = False
     preset: Literal["paper-classification", "paper-vqa", "measured"] = Field(
         "measured", description="the set of values from which settings left out are taken"
     )
@@ -95,110 +95,79 @@ class Zoo(AttackSettings):
                 self.check_groups(name, value)
         return self
 
-
-@register(Zoo)
-class ZooMethod:
-    """Each step estimates the gradient at random coordinates and moves only those, each with an Adam state of its own.
-
-    A coordinate whose difference is below the noise does not move and keeps its Adam state; such differences are
-    counted. Inactive coordinates, which provably change no pixel, are never drawn. They are found at the start and
-    examined again at each step.
-    """
-
-    needs_gradient = False
-
-    def __init__(self, settings: Zoo, problem: AttackProblem) -> None:
-        self.settings = settings
-        self.layout = problem.layout
-        self.delta = self.layout.flatten(problem.beginning).float()
-        """The perturbation as one vector [total]."""
-        self.first = self.layout.zeros().double()
-        self.second = self.layout.zeros().double()
-        self.moves = self.layout.zeros().long()
-        self.half_steps = self.layout.zeros().double()
-        self.inactive = self.layout.zeros().bool()
-        self.noise = 0.0
-
-    @property
-    def perturbation(self) -> Parameters:
-        """The current perturbation, by group."""
-        return self.layout.unflatten(self.delta)
-
-    def start(self, problem: AttackProblem) -> dict[str, object]:
+    def init(self, problem: AttackProblem) -> State:
         """Measures the objective's noise floor and, for `delta: "measured"`, each group's half-step; finds inactive
-        coordinates. Returns them as `noise`, `delta` and `skipped`.
+        coordinates, which provably change no pixel.
         """
-        from services.attacks.differences import inactive, measure_half_steps, measure_noise
+        from services.attacks.differences import inactive_mask, measure_half_steps, measure_noise
 
-        self.noise = measure_noise(problem, self.delta)
-        asked = self.settings.delta
-        if isinstance(asked, str):
-            chosen = measure_half_steps(problem, REACH * self._rates(), self.noise)
-        else:
-            chosen = asked if isinstance(asked, dict) else dict.fromkeys(self.layout.groups, asked)
-        self.half_steps = self.layout.spread(chosen)
-        found = inactive(problem, self.perturbation, self.half_steps)
-        self.inactive = self._mask(found)
-        skipped = [{"coordinate": one.name, "why": one.why} for one in found]
-        return {"delta": chosen, "noise": self.noise, "skipped": skipped}
-
-    def advance(self, problem: AttackProblem, view: Evaluation, step: int) -> int:
-        """Moves the coordinates whose difference is above the noise, by Adam. Returns the number of the others.
-
-        Raises JobFailure("non-finite").
-        """
-        from services.attacks.differences import clamped, estimate
-        from services.attacks.seeds import draw
-
-        self.delta = self.layout.flatten(view.perturbation).to(self.delta.dtype)  # backtracking may have shortened it
-        chosen = draw(self._active(problem), self.settings.coordinates, problem.seed, "zoo", step)
-        found = estimate(problem, self.delta, chosen, self.half_steps[chosen], self.noise)
-        if not bool(found.gradients.isfinite().all()):
-            raise JobFailure("non-finite", "a difference of the objective is not finite")
-        moving, gradients = chosen[~found.below_noise], found.gradients[~found.below_noise]
-        self.moves[moving] += 1
-        self.first[moving] = BETAS[0] * self.first[moving] + (1 - BETAS[0]) * gradients
-        self.second[moving] = BETAS[1] * self.second[moving] + (1 - BETAS[1]) * gradients.square()
-        first = self.first[moving] / (1 - BETAS[0] ** self.moves[moving].double())
-        second = self.second[moving] / (1 - BETAS[1] ** self.moves[moving].double())
-        rates = self._rates()[moving]
-        self.delta[moving] -= (rates * first / (second.sqrt() + EPSILON)).to(self.delta.dtype)
-        self.delta = clamped(problem, self.delta[None])[0]
-        return int(found.below_noise.sum())
-
-    def state(self) -> dict[str, Tensor]:
-        """The perturbation, Adam's moments and counts, half-steps, the mask of inactive coordinates, and the noise."""
+        layout, delta, zeros = problem.layout, problem.start.float(), problem.layout.zeros().double()
+        noise, chosen = measure_noise(problem, delta), self.delta
+        if isinstance(chosen, str):
+            chosen = measure_half_steps(problem, REACH * layout.spread(self.learning_rate), noise)
+        half_steps = layout.spread(chosen)
         return {
-            "delta": self.delta,
-            "first": self.first,
-            "second": self.second,
-            "moves": self.moves,
-            "half_steps": self.half_steps,
-            "inactive": self.inactive,
-            "noise": self.first.new_tensor(self.noise),
+            "delta": delta,
+            "first": zeros,
+            "second": zeros,
+            "moves": zeros.long(),
+            "half_steps": half_steps,
+            "noise": zeros.new_tensor(noise),
+            "inactive": inactive_mask(problem, delta, half_steps, (None, *problem.variations(0))),
         }
 
-    def load(self, state: dict[str, Tensor]) -> None:
-        """Continues from `state()`."""
-        self.delta, self.first, self.second = state["delta"], state["first"], state["second"]
-        self.moves, self.half_steps, self.noise = state["moves"], state["half_steps"], float(state["noise"])
-        self.inactive = state["inactive"]
+    def measured(self, problem: AttackProblem, state: State) -> dict[str, object]:
+        """The half-step of each group as `delta`, the `noise`, and the inactive coordinates, `skipped`."""
+        from services.attacks.differences import skipped
 
-    def _mask(self, found: Sequence[InactiveCoordinate]) -> Tensor:
-        return self.layout.mask((one.group, one.index) for one in found)
+        layout, half_steps = problem.layout, state["half_steps"]
+        return {
+            "delta": {group: float(half_steps[layout.starts[group]]) for group in layout.groups},
+            "noise": float(state["noise"]),
+            "skipped": skipped(problem, half_steps, (None, *problem.variations(0))),
+        }
 
-    def _active(self, problem: AttackProblem) -> Tensor:
+    def step(self, problem: AttackProblem, state: State, evaluation: Evaluation) -> State:
+        """Estimates the gradient at random coordinates and moves only those, each with Adam's moments of its own.
+
+        A coordinate whose difference is below the noise does not move and keeps its moments; such differences are
+        counted. Raises JobFailure("non-finite").
+        """
+        from services.attacks.differences import estimate
+        from services.attacks.seeds import draw
+
+        at, step = evaluation.delta.to(state["delta"].dtype), evaluation.step
+        half_steps, noise = state["half_steps"], float(state["noise"])
+        chosen = draw(self._active(problem, at, state, step), self.coordinates, problem.seed, "zoo", step)
+        estimated = estimate(problem, at, chosen, half_steps[chosen], noise, step)
+        if not bool(estimated.gradients.isfinite().all()):
+            raise JobFailure("non-finite", "a difference of the objective is not finite")
+        moving, gradients = chosen[~estimated.below_noise], estimated.gradients[~estimated.below_noise]
+        delta, first, second, moves = (
+            value.clone() for value in (at, *(state[n] for n in ("first", "second", "moves")))
+        )
+        moves[moving] += 1
+        first[moving] = BETAS[0] * first[moving] + (1 - BETAS[0]) * gradients
+        second[moving] = BETAS[1] * second[moving] + (1 - BETAS[1]) * gradients.square()
+        mean = first[moving] / (1 - BETAS[0] ** moves[moving].double())
+        square = second[moving] / (1 - BETAS[1] ** moves[moving].double())
+        rates = problem.layout.spread(self.learning_rate)[moving]
+        delta[moving] -= (rates * mean / (square.sqrt() + EPSILON)).to(delta.dtype)
+        return state | {
+            "delta": problem.limits.clamp(delta),
+            "first": first,
+            "second": second,
+            "moves": moves,
+            "below_noise": estimated.below_noise.sum(),
+        }
+
+    def _active(self, problem: AttackProblem, delta: Tensor, state: State, step: int) -> Tensor:
         """The coordinates to draw from: all but those that the constraint fixes, and those inactive at the start that
         still are. Most scenes have none.
         """
-        from services.attacks.differences import inactive
-        from services.attacks.limits import fixed
+        from services.attacks.differences import inactive_mask
 
-        still = self.inactive
+        still = state["inactive"]
         if still.any():
-            still = still & self._mask(inactive(problem, self.perturbation, self.half_steps))
-        return (~(still | fixed(problem.constraint, self.layout))).nonzero()[:, 0]
-
-    def _rates(self) -> Tensor:
-        rate = self.settings.learning_rate
-        return self.layout.spread(rate if isinstance(rate, dict) else dict.fromkeys(self.layout.groups, rate))
+            still = still & inactive_mask(problem, delta, state["half_steps"], (None, *problem.variations(step)))
+        return (~(still | problem.limits.fixed)).nonzero()[:, 0]

@@ -19,6 +19,7 @@ from services.analysis.requests import AnalysisRequest, RerenderingRequest
 from services.analysis.rerendering import attack_through, interpret, rerender
 from services.analysis.subsets import ScoredImage, scored, subsets
 from services.analysis.transfer import Wanted, indices, shown_to
+from services.attacks.problem import Counts
 from services.attacks.run import Verifier
 from services.errors import InvalidRequest
 from services.pipeline import goals
@@ -128,7 +129,7 @@ def _named(report: Report, name: str) -> Tick:
 
 def _to_target(subject: Subject, name: str) -> Transferred:
     prepared = subject.prepared
-    other = replace(prepared.verifier, target=registry.load(name), queries=0, renders=0)
+    other = replace(prepared.verifier, target=registry.load(name), counts=Counts())
     wanted = _wanted(prepared, name, other.target.labels)
     return shown_to(other, wanted, subject.original.saved, subject.attacked.saved, prepared.renderer.name)
 

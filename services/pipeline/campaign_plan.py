@@ -24,7 +24,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from services import disk
 from services.analysis.campaign_table import Case, Curves, MeanCurves, Table
 from services.analysis.campaign_text import to_csv, to_latex
-from services.attacks.attack import AttackSettings
+from services.attacks.attack import Attack
 from services.pipeline.campaign_spec import CampaignSpec, Grid, Member, Selection
 from services.pipeline.names import attack_name, scene_name
 from services.pipeline.result import Provenance, Result, success
@@ -97,7 +97,7 @@ def _probes(grid: Grid, member: Member) -> Iterator[JobSpec]:
                 yield probe
 
 
-def job_of(grid: Grid, member: Member, target: TargetChoice, attack: AttackSettings) -> JobSpec:
+def job_of(grid: Grid, member: Member, target: TargetChoice, attack: Attack) -> JobSpec:
     """The job of a grid with this scene, its questions, this target and attack, and seed 0."""
     words = tuple(one.question for one in member.questions)
     if len(words) == 1:

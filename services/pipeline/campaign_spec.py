@@ -24,7 +24,7 @@ from pydantic import (
 )
 
 from services.analysis.requests import AnalysisRequest
-from services.attacks.attack import AttackSettings, Goal, Seed
+from services.attacks.attack import Attack, Goal, Seed
 from services.errors import InvalidFields, InvalidRequest
 from services.names import Names, reference
 from services.pipeline.field_errors import invalid_fields
@@ -401,7 +401,7 @@ class CampaignSpec(Model):
 
     @model_validator(mode="after")
     def _one_attack_in_a_cell(self) -> Self:
-        cells: dict[tuple[str, str], AttackSettings] = {}
+        cells: dict[tuple[str, str], Attack] = {}
         for g, grid in enumerate(self.grids):
             for c, column in enumerate(grid.attacks):
                 for target in grid.targets:

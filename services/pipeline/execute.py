@@ -1,6 +1,7 @@
 """Runs one job from spec to result in this process. The worker and `scene-attack run` both call it."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Literal
@@ -15,17 +16,14 @@ from services.analysis.expectation import held_over
 from services.analysis.images import answer, beyond, of_float_images, of_groups, of_images
 from services.analysis.physical import changes_in_words
 from services.analysis.subsets import ScoredImage, subsets
-from services.attacks.attack import ATTACKS
+from services.attacks.leave_out import LeftOut, leave_out
 from services.attacks.limits import at_epsilon
-from services.attacks.masking import check_masking
-from services.attacks.method import Method
 from services.attacks.problem import AttackProblem
-from services.attacks.run import AttackState, Budget, run, sampled_error
+from services.attacks.run import AttackRun, check_masking, run_attack
 from services.attacks.trace import TraceRow
-from services.errors import Cancelled, named
+from services.errors import Cancelled
 from services.pipeline.analyse import Report, Subject, analyse
 from services.pipeline.extensions import loaded_extensions
-from services.pipeline.leaving_out import LeavingOut, leaving_out
 from services.pipeline.prepare import Prepared, lit_by_map, prepare
 from services.pipeline.result import RESULT, AtEpsilon, JobWarning, Provenance, Result, subset_image
 from services.pipeline.spec import JobSpec
@@ -88,148 +86,139 @@ def execute(
     prepared = prepare(spec, library)
     checked(prepared.spec, prepared.warnings)
     problem = _problem(prepared, interrupt)
-    problem, left_out = leaving_out(problem, spec.attack.leave_out, partial(report, "loading", "leave_out"))
+    problem, left_out = leave_out(problem, spec.attack.leave_out, partial(report, "loading", "leave_out"))
 
-    def fresh() -> Method:
-        with named(f"method {spec.attack.method!r}"):
-            method: Method = ATTACKS[spec.attack.method].method(spec.attack, problem)
-        return method
+    def on_row(row: TraceRow) -> None:
+        progress(Progress(phase="attacking", step=row.step, steps=steps, row=row))
 
-    budget = Budget(spec.attack.steps, spec.attack.queries, spec.attack.seconds)
-    found = run(
-        problem,
-        fresh(),
-        prepared.verifier,
-        budget,
-        checkpoint_path=checkpoint,
-        on_row=lambda row: progress(Progress(phase="attacking", step=row.step, steps=steps, row=row)),
-        restarts=spec.attack.restarts,
-        fresh=fresh,
-    )
-    if spec.attack.masking_check and not found.verified:
-        found.settings |= {"masking": check_masking(problem, prepared.verifier, spec.attack.masking_check)}
+    run = AttackRun.begin_or_resume(problem, spec.attack, prepared.verifier, checkpoint, on_row)
+    run_attack(run)
+    settings = dict(run.settings)
+    if spec.attack.masking_check and not run.verified:
+        settings["masking"] = check_masking(run, spec.attack.masking_check)
     if left_out is not None:
-        found.settings |= {"leave_out": left_out.settings}
-    progress(Progress(phase="analysing", step=found.step, steps=steps))
+        settings["leave_out"] = left_out.settings
+    progress(Progress(phase="analysing", step=run.step, steps=steps))
     interrupt()
-    return _write(prepared, problem, found, out, library, partial(report, "analysing"), left_out)
+    return _write(prepared, run, settings, out, library, partial(report, "analysing"), left_out)
 
 
 def _problem(prepared: Prepared, interrupt: Callable[[], None]) -> AttackProblem:
     attack = prepared.spec.attack
     limit = None if attack.truncation is None else attack.truncation / 255
     backtracks = attack.constraint == "backtrack"
-    return AttackProblem(
-        renderer=prepared.renderer,
-        target=prepared.target,
-        goal=prepared.goal,
-        surrogate=prepared.surrogate,
-        expectation=attack.expectation,
-        constraint=prepared.constraint,
-        groups=attack.groups,
-        seed=prepared.spec.seed,
+    return AttackProblem.of(
+        prepared.renderer,
+        prepared.target,
+        prepared.goal,
+        attack.groups,
+        bounds=attack.bounds,
+        epsilon=attack.epsilon,
         truncation=None if backtracks else limit,
         backtrack=limit if backtracks else None,
         perceptibility=attack.perceptibility,
-        epsilon=attack.epsilon,
-        limits=attack.bounds,
+        constraint=prepared.constraint,
+        seed=prepared.spec.seed,
         loss=attack.objective,
-        weight=attack.distance_weight,
-        needs_metric=attack.needs_metric,
+        distance_weight=attack.distance_weight,
+        expectation=attack.expectation,
+        surrogate=prepared.surrogate,
+        counts=prepared.verifier.counts,
         interrupt=interrupt,
     )
 
 
 def _write(
     prepared: Prepared,
-    problem: AttackProblem,
-    found: AttackState,
+    run: AttackRun,
+    settings: dict[str, object],
     out: Path,
     library: Library,
     report: Report,
-    left_out: LeavingOut | None,
+    left_out: LeftOut | None,
 ) -> Result:
     out.mkdir(parents=True, exist_ok=True)
     verifier, goal, labels, original = prepared.verifier, prepared.goal, prepared.target.labels, prepared.original
-    queries, renders = problem.queries + verifier.queries, problem.renders + verifier.renders
-    exact = verifier.render(found.stored)
+    cost = replace(run.problem.counts)  # before the looks that belong to the report and not to the attack
+    assert run.best is not None
+    stored = run.stored
+    exact = verifier.render(stored)
     attacked = to_bytes(exact).cpu()
     logits = verifier.logits(attacked)
     first, met = int(prepared.logits.argmax()), bool(goal.fooled(logits))
     limit = prepared.spec.attack.truncation
     ends = ScoredImage(prepared.exact, original, prepared.logits), ScoredImage(exact, attacked, logits)
-    rows = subsets(
-        verifier, goal, found.stored, *ends, lambda row, image: images.save_png(image, out / subset_image(row))
-    )
-    analyses = analyse(Subject(prepared, found.stored, *ends), prepared.spec.analysis, library, report)
+    rows = subsets(verifier, goal, stored, *ends, lambda row, image: images.save_png(image, out / subset_image(row)))
+    analyses = analyse(Subject(prepared, stored, *ends), prepared.spec.analysis, library, report)
     asked = prepared.spec.attack.expectation
     held = None
     if asked is not None:
         right = prepared.truth or goal.leave or (first,)
         tick = partial(report, "expectation")
-        held = held_over(verifier, goal, right, found.stored, asked, seed=prepared.spec.seed, tick=tick)
-    outcome, questions = prepared.task.judge(prepared.settled, prepared.renderer.name, found.stored, *ends, out)
+        held = held_over(verifier, goal, right, stored, asked, seed=prepared.spec.seed, tick=tick)
+    outcome, questions = prepared.task.judge(prepared.settled, prepared.renderer.name, stored, *ends, out)
     result = Result(
         spec=prepared.spec.model_dump(mode="json"),
         outcome=outcome,
         truth=[labels[i] for i in prepared.truth],
         right_before=first in prepared.truth if prepared.truth else None,
-        fooled=found.fooled,
+        fooled=run.fooled,
         verified=met,
-        stopped=found.stopped,
+        stopped=run.stopped,
         leave=labels[first] if first in goal.leave else None,
         labels_to_leave=[labels[i] for i in goal.leave],
         reach=None if goal.reach is None else labels[goal.reach],
         warnings=list(prepared.warnings),
         original=answer(prepared.logits, labels, goal),
         attacked=answer(logits, labels, goal),
-        in_loop=answer(found.scores, labels, goal),
+        in_loop=answer(run.best.scores, labels, goal),
         float_perceptibility=of_float_images(prepared.exact, exact),
         perceptibility=of_images(original, attacked),
-        group_perceptibility=of_groups(prepared.renderer.name, found.stored),
+        group_perceptibility=of_groups(prepared.renderer.name, stored),
         at_epsilon={
             group: AtEpsilon(coordinates=int(values.sum()), share=float(values.double().mean()))
-            for group, values in at_epsilon(found.stored, problem.epsilon).items()
+            for group, values in at_epsilon(stored, run.problem.limits.epsilon).items()
         },
         beyond_truncation=None if limit is None else beyond(original, attacked, limit),
         expectation=held,
         plan=_plan(prepared, left_out),
-        image_error=_image_error(problem, found, exact),
-        sampled_error=sampled_error(found, problem),
+        image_error=_image_error(run, exact),
+        sampled_error=run.sampled_error,
         environment_map_error=prepared.renderer.plan.environment_map_error,
         subsets=rows,
         attribution=of_subsets(rows),
-        changes=changes_in_words(prepared.scene, prepared.renderer, found.stored),
+        changes=changes_in_words(prepared.scene, prepared.renderer, stored),
         analyses=analyses,
         questions=questions,
-        settings=found.settings,
-        steps=found.step,
-        step=found.stored_step,
-        queries=queries,
-        surrogate_queries=problem.surrogate_queries,
-        renders=renders,
-        truncated=int(found.ever.sum()),
-        seconds=found.seconds,
-        trace=found.trace,
+        settings=settings,
+        steps=run.step,
+        step=run.best.step,
+        queries=cost.queries,
+        surrogate_queries=cost.surrogate_queries,
+        renders=cost.renders,
+        truncated=int(run.ever_truncated.sum()),
+        seconds=run.trace[-1].seconds,
+        trace=run.trace,
         provenance=provenance(prepared),
     )
-    save_change(prepared, found.stored, attacked, out)
-    trace = ",\n".join(row.model_dump_json() for row in found.trace)
+    save_change(prepared, stored, attacked, out)
+    trace = ",\n".join(row.model_dump_json() for row in run.trace)
     (out / "trace.json").write_text(f"[{trace}]\n", "utf-8")
     (out / RESULT).write_text(result.model_dump_json(indent=1) + "\n", "utf-8")
     return result
 
 
-def _plan(prepared: Prepared, left_out: LeavingOut | None) -> Plan:
+def _plan(prepared: Prepared, left_out: LeftOut | None) -> Plan:
     plan = prepared.plan()
     return plan if left_out is None else left_out.in_plan(plan)
 
 
 @torch.no_grad()
-def _image_error(problem: AttackProblem, found: AttackState, exact: Tensor) -> float:
+def _image_error(run: AttackRun, exact: Tensor) -> float:
     """Largest difference between the exact image and the loop's image of the stored perturbation, before truncation."""
-    moved = {group: (problem.initial[group] + value)[None] for group, value in found.stored.items()}
-    return float((problem.renderer.render(moved)[0].double() - exact.double()).abs().max())
+    assert run.best is not None
+    moved = run.problem.layout.unflatten((run.problem.initial + run.best.delta)[None])
+    return float((run.problem.renderer.render(moved)[0].double() - exact.double()).abs().max())
 
 
 def provenance(prepared: Prepared) -> Provenance:

@@ -6,7 +6,7 @@ from typing import Any
 
 import torch
 
-from services.attacks.attack import AttackSettings
+from services.attacks.attack import Attack
 from services.attacks.expectation import VIEWS, Expectation
 from services.errors import InvalidRequest
 from services.rendering.declaration import RENDERERS
@@ -15,7 +15,7 @@ from services.rendering.protocol import Renderer
 from services.rendering.variation import STILL, moved, varied
 
 
-def moving_groups(attack: AttackSettings) -> tuple[str, ...]:
+def moving_groups(attack: Attack) -> tuple[str, ...]:
     """The groups whose values change inside an attack: the attacked ones, and those that its range moves."""
     declared = RENDERERS[attack.renderer]
     asked = attack.expectation

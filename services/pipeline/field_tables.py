@@ -73,7 +73,7 @@ def _section(model: type[BaseModel]) -> list[str]:
 
 def _attacks() -> Iterator[str]:
     """The fields of `attack`: first those that mean the same for every method, then those of each."""
-    settings = [attack.settings for attack in ATTACKS.values()]
+    settings = list(ATTACKS.values())
     rows = [{row[0]: row for row in _rows(model)} for model in settings]
     common = [row for name, row in rows[0].items() if all(other.get(name) == row for other in rows)]
     yield from ("## `attack`", "", "The fields that every method has with the same default.", "")

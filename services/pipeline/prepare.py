@@ -9,9 +9,9 @@ from torch import Tensor
 from services.attacks import losses
 from services.attacks.attack import ATTACKS
 from services.attacks.goal import ResolvedGoal
-from services.attacks.limits import perturbation_bounds
+from services.attacks.limits import box
+from services.attacks.problem import Surrogate
 from services.attacks.run import Verifier
-from services.attacks.surrogate import Surrogate
 from services.errors import InvalidFields, InvalidRequest, named
 from services.pipeline.analysis_fields import check_analysis, load_targets
 from services.pipeline.check import Checked
@@ -145,12 +145,8 @@ def _prepare(spec: JobSpec, library: Library, tolerance: Tolerance) -> Prepared:
             detail = "it has too many coordinates to measure each; leave this out"
             raise InvalidRequest(f"attack.leave_out.{group}", detail)
     start = renderer.initial()
-    perturbation_bounds(
-        {group: start[group] for group in spec.attack.groups},
-        renderer.bounds(),
-        spec.attack.bounds,
-        spec.attack.epsilon,
-    )
+    attacked = {group: start[group] for group in spec.attack.groups}
+    box(attacked, renderer.bounds(), spec.attack.bounds, spec.attack.epsilon)
     verifier = Verifier(renderer, target)
     exact = _exact_image(spec, scene, verifier)
     original = to_bytes(exact).cpu()
@@ -172,7 +168,7 @@ def _prepare(spec: JobSpec, library: Library, tolerance: Tolerance) -> Prepared:
         exact=exact,
         task=task,
         settled=settled,
-        constraint=task.constraint(renderer.name, {group: start[group] for group in spec.attack.groups}),
+        constraint=task.constraint(renderer.name, attacked),
     )
 
 
@@ -209,9 +205,9 @@ def _check_materials(spec: JobSpec) -> None:
 
 def _exact_image(spec: JobSpec, scene: ResolvedScene, verifier: Verifier) -> Tensor:
     """The exact image of the scene. It counts as rendered also if it was recalled: a result is the same either way."""
-    renders = verifier.renders
+    renders = verifier.counts.renders
     image = scene.once(("exact image", *_drawn_by(spec)), lambda: verifier.render({}).clone())
-    verifier.renders = renders + 1
+    verifier.counts.renders = renders + 1
     return image
 
 
@@ -220,7 +216,7 @@ def _scores(spec: JobSpec, scene: ResolvedScene, target: Target, verifier: Verif
 
     Only the same network is not asked again, and none of which nothing but scores is known: a URL may answer otherwise.
     """
-    queries = verifier.queries
+    queries = verifier.counts.queries
     try:
         own = ref(target)
     except TypeError:  # an object with slots, of an extension
@@ -231,7 +227,7 @@ def _scores(spec: JobSpec, scene: ResolvedScene, target: Target, verifier: Verif
     kept: tuple[ref[Target], Tensor] | None = scene.measured.get(what)
     if kept is None or kept[0]() is not target:
         scene.measured[what] = kept = own, verifier.logits(original).clone()
-    verifier.queries = queries + 1
+    verifier.counts.queries = queries + 1
     return kept[1]
 
 

@@ -30,7 +30,7 @@ from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, cor
 
 from services.analysis.records import Rerendering
 from services.analysis.requests import AnalysisRequest, RerenderingRequest
-from services.attacks.attack import ATTACKS, AttackSettings, Goal, Label, Labels, Seed
+from services.attacks.attack import ATTACKS, Attack, Goal, Label, Labels, Seed
 from services.errors import InvalidFields, InvalidRequest
 from services.names import Names, reference, unknown_parts
 from services.pipeline.field_errors import invalid_fields
@@ -46,7 +46,7 @@ from services.targets.labels import labels, same_labels
 from services.text import closest, did_you_mean
 
 
-def _validated(data: Any, names: Names | None) -> AttackSettings:
+def _validated(data: Any, names: Names | None) -> Attack:
     """Validates an attack. The other fields of an attack whose method there is not are named, too.
 
     They are taken for those of the closest method or, where none is close, of the renderer's own: then only what no
@@ -72,8 +72,8 @@ def _validated(data: Any, names: Names | None) -> AttackSettings:
 def _may_be_anothers(error: Any) -> bool:
     """Whether an error of an attack is of a field that only some methods have."""
     field = error["loc"][1] if len(error["loc"]) > 1 else ""
-    some = {name for one in ATTACKS.values() for name in one.settings.model_fields}
-    return field in some - set(AttackSettings.model_fields)
+    some = {name for one in ATTACKS.values() for name in one.model_fields}
+    return field in some - set(Attack.model_fields)
 
 
 def _again(error: Any) -> InitErrorDetails:
@@ -84,12 +84,12 @@ def _again(error: Any) -> InitErrorDetails:
     return InitErrorDetails(type=kind, loc=error["loc"], input=error["input"], ctx=error.get("ctx", {}))
 
 
-def _registered() -> tuple[type[AttackSettings], ...]:
-    return tuple(attack.settings for attack in ATTACKS.values())
+def _registered() -> tuple[type[Attack], ...]:
+    return tuple(ATTACKS.values())
 
 
 @lru_cache(maxsize=1)
-def _union(attacks: tuple[type[AttackSettings], ...]) -> TypeAdapter[AttackSettings]:
+def _union(attacks: tuple[type[Attack], ...]) -> TypeAdapter[Attack]:
     return TypeAdapter(Annotated[Union[attacks], Field(discriminator="method")])  # type: ignore[arg-type]  # noqa: UP007
 
 
@@ -98,7 +98,7 @@ class _Registered:
 
     @classmethod
     def __get_pydantic_core_schema__(cls, _source: object, _handler: GetCoreSchemaHandler) -> CoreSchema:
-        def validate(data: object, info: ValidationInfo) -> AttackSettings:
+        def validate(data: object, info: ValidationInfo) -> Attack:
             return _validated(data, info.context)  # its errors become those of the field
 
         return core_schema.with_info_plain_validator_function(validate)
@@ -109,7 +109,7 @@ class _Registered:
 
 
 if TYPE_CHECKING:
-    AnyAttack = AttackSettings
+    AnyAttack = Attack
 else:
     AnyAttack = Annotated[Any, _Registered]  # the base class itself would be a part of openapi.yaml
 
@@ -200,7 +200,7 @@ class JobSpec(Model):
     )
     target: TargetChoice = TargetChoice()
     goal: Goal = Goal()
-    attack: AnyAttack = Field(default_factory=lambda: ATTACKS[_method_for({})].settings.model_validate({}))
+    attack: AnyAttack = Field(default_factory=lambda: ATTACKS[_method_for({})].model_validate({}))
     tolerance: AnyTolerance = Field(
         DEFAULT_TOLERANCE,
         description="largest error of a displayed value, in [0,1], of images inside the attack; `exact` for no "
@@ -249,7 +249,7 @@ def with_method(attack: Any) -> Any:
 
 def _method_for(attack: Mapping[str, Any]) -> str:
     """The method that the renderer declares. An unknown renderer is refused later, when its own field is validated."""
-    default = AttackSettings.model_fields["renderer"].default
+    default = Attack.model_fields["renderer"].default
     renderer = attack.get("renderer", default)
     known = isinstance(renderer, str) and renderer in RENDERERS
     return RENDERERS[renderer if known else default].method

@@ -1,7 +1,7 @@
 """Finds the surrogate that an attack names, and the attack's goal in its labels."""
 
 from services.attacks.goal import ResolvedGoal
-from services.attacks.surrogate import Surrogate
+from services.attacks.problem import Surrogate
 from services.errors import InvalidRequest
 from services.pipeline import goals
 from services.pipeline.goals import Settled

@@ -19,15 +19,14 @@ STEPS = 150
 DEADLY = """
 import os, signal
 from typing import Literal
-from services.attacks.fgsm import Fgsm, FgsmMethod
 from services.attacks.attack import register
+from services.attacks.fgsm import Fgsm
 
+@register
 class Deadly(Fgsm):
     method: Literal["deadly"] = "deadly"
 
-@register(Deadly)
-class DeadlyMethod(FgsmMethod):
-    def advance(self, problem, view, step):
+    def step(self, problem, state, evaluation):
         os.kill(os.getpid(), signal.SIGKILL)
 """
 """An attack that kills its process at its first step."""

@@ -14,10 +14,11 @@ from services.accuracy.stability.case import Case, Measured, need
 from services.accuracy.stability.objects import SIDE, linear_gradient, linear_problem, pixels
 from services.accuracy.stability.torch_shading import SHARP, Shading
 from services.attacks.differences import CANDIDATES, estimate, measure_noise
-from services.attacks.fgsm import Fgsm, FgsmMethod
-from services.attacks.problem import truncate
-from services.attacks.run import AttackState, Budget, Verifier, run
-from services.attacks.zoo import Zoo, ZooMethod
+from services.attacks.fgsm import Fgsm
+from services.attacks.limits import truncate
+from services.attacks.problem import evaluate
+from services.attacks.run import AttackRun, Verifier, run_attack
+from services.attacks.zoo import Zoo
 from services.rendering.factory import build
 from services.rendering.protocol import Parameters, Renderer
 from services.scenes.mesh import Doubles
@@ -33,26 +34,23 @@ def _start() -> Doubles:
     return pixels().initial()["image"].double().numpy()
 
 
-def _pixel_fgsm(
-    steps: int, rate: float, begin: Doubles | None = None, **settings: Any
-) -> tuple[AttackState, FgsmMethod]:
+def _pixel_fgsm(steps: int, rate: float, begin: Doubles | None = None, **settings: Any) -> AttackRun:
     """FGSM on the pixels for some steps, from the perturbation `begin` if there is one."""
-    renderer = pixels()
-    given = {"renderer": "image", "learning_rate": {"image": rate}, "truncation": None} | settings
-    spec = Fgsm.model_validate(given)
-    limit = None if spec.truncation is None else spec.truncation / 255
-    problem = linear_problem(renderer, truncation=limit)
-    method = FgsmMethod(spec, problem)
+    given = {"renderer": "image", "learning_rate": {"image": rate}, "truncation": None, "steps": steps} | settings
+    attack = Fgsm.model_validate(given)
+    limit = None if attack.truncation is None else attack.truncation / 255
+    problem = linear_problem(pixels(), truncation=limit)
+    run = AttackRun.begin_or_resume(problem, attack, Verifier.of(problem))
     if begin is not None:
-        method.load(method.state() | {"perturbation.image": torch.from_numpy(begin).float()})
-    found = run(problem, method, Verifier(renderer, problem.target), Budget(steps))
-    need(found.step == steps, f"it stopped after {found.step} steps")
-    return found, method
+        run.state["delta"] = torch.from_numpy(begin).float().flatten()
+    run_attack(run)
+    need(run.step == steps, f"it stopped after {run.step} steps")
+    return run
 
 
 def _momentum(steps: int, rate: float, momentum: float, decay: float, bounded: bool) -> Measured:
     """v ← μ v + sign(w) + decay Δ, Δ ← Δ − η v, held so that pixels stay in [0,1]; w is the network's own gradient."""
-    found, method = _pixel_fgsm(steps, rate, momentum=momentum, weight_decay=decay)
+    run = _pixel_fgsm(steps, rate, momentum=momentum, weight_decay=decay)
     start, sign = _start(), np.sign(linear_gradient().numpy())
     delta, velocity = np.zeros_like(start), np.zeros_like(start)
     for _ in range(steps):
@@ -61,8 +59,9 @@ def _momentum(steps: int, rate: float, momentum: float, decay: float, bounded: b
     need(
         bounded == bool(((start + delta == 0) | (start + delta == 1)).any()), "bounds are met where they should not be"
     )
-    error = np.abs(found.stored["image"].double().numpy() - delta).max()
-    velocity_error = np.abs(method.state()["velocity.image"].double().numpy() - velocity).max() / np.abs(velocity).max()
+    error = np.abs(run.stored["image"].double().numpy() - delta).max()
+    velocities = run.problem.layout.unflatten(run.state["velocity"])["image"].double().numpy()
+    velocity_error = np.abs(velocities - velocity).max() / np.abs(velocity).max()
     return Measured(max(float(error), float(velocity_error)), FLOAT32, "error of the perturbation and of the velocity")
 
 
@@ -71,13 +70,14 @@ def _held() -> Measured:
 
     What is shown is the original ± U.
     """
-    found, _ = _pixel_fgsm(5, 0.1, momentum=0.0, weight_decay=0.0, truncation=18)
+    run = _pixel_fgsm(5, 0.1, momentum=0.0, weight_decay=0.0, truncation=18)
     sign = np.sign(linear_gradient().numpy())
-    need([row.truncated for row in found.trace[1:]] == [64] * 5, "not all pixels are held")
+    need([row.truncated for row in run.trace[1:]] == [64] * 5, "not all pixels are held")
     problem = linear_problem(pixels(), truncation=LIMIT)
-    shown = problem.view(found.stored).images[0].double().numpy()
+    assert run.best is not None
+    shown = evaluate(problem, run.best.delta, 0).image[0].double().numpy()
     error = np.abs(shown - (_start() - LIMIT * sign)).max()
-    worst = max(float(error), float(np.abs(found.stored["image"].double().numpy() + 0.1 * sign).max()))
+    worst = max(float(error), float(np.abs(run.stored["image"].double().numpy() + 0.1 * sign).max()))
     return Measured(worst, FLOAT32, "error of the perturbation, −0.1 sign(w), and of the image, original ± U")
 
 
@@ -85,15 +85,15 @@ def _partly_held() -> Measured:
     """Of each pixel one value is beyond U and two are not: the step moves those two only."""
     begin = np.full_like(_start(), 0.5 * LIMIT)
     begin[..., 1] = -1.5 * LIMIT
-    found, _ = _pixel_fgsm(1, 0.01, begin, momentum=0.0, weight_decay=0.0, truncation=18)
+    run = _pixel_fgsm(1, 0.01, begin, momentum=0.0, weight_decay=0.0, truncation=18)
     wanted = begin - 0.01 * np.sign(linear_gradient().numpy()) * (np.abs(begin) < LIMIT)
-    error = np.abs(found.stored["image"].double().numpy() - wanted).max()
+    error = np.abs(run.stored["image"].double().numpy() - wanted).max()
     return Measured(float(error), FLOAT32, "error of the perturbation")
 
 
 def _with_weight(at: float, delta: float, weight: float) -> Measured:
     """The objective is linear in the pixels plus λ‖Δ‖², so that a central difference is w + 2 λ Δ whatever its step."""
-    problem = linear_problem(pixels(), lead=0.0, weight=weight)
+    problem = linear_problem(pixels(), lead=0.0, distance_weight=weight)
     random = np.random.default_rng(6)
     where = at * random.choice([-1.0, 1.0], size=_start().size)
     start = torch.from_numpy(where).float()
@@ -107,12 +107,13 @@ def _with_weight(at: float, delta: float, weight: float) -> Measured:
 
 def _chosen_step() -> Measured:
     """The measured difference step is one under which gradients are right to a thousandth."""
-    problem = linear_problem(pixels(), lead=0.0, weight=0.5)
-    method = ZooMethod(Zoo(method="zoo", renderer="image", delta="measured", learning_rate=0.01), problem)
-    chosen = method.start(problem)["delta"]
+    problem = linear_problem(pixels(), lead=0.0, distance_weight=0.5)
+    attack = Zoo(method="zoo", renderer="image", delta="measured", learning_rate=0.01)
+    state = attack.init(problem)
+    chosen = attack.measured(problem, state)["delta"]
     need(isinstance(chosen, dict) and chosen["image"] in CANDIDATES[1:-1], f"it chose {chosen}")
-    deltas = method.half_steps
-    found = estimate(problem, torch.zeros(len(deltas)), torch.arange(len(deltas)), deltas, method.noise)
+    deltas, noise = state["half_steps"], float(state["noise"])
+    found = estimate(problem, torch.zeros(len(deltas)), torch.arange(len(deltas)), deltas, noise)
     wanted = linear_gradient().flatten()
     error = (found.gradients.double() - wanted).abs().max() / wanted.abs().max()
     return Measured(float(error), 1e-3, "relative error of a gradient, closed form")
@@ -121,19 +122,19 @@ def _chosen_step() -> Measured:
 def _adam(steps: int, weight: float) -> Measured:
     """ZOO on all coordinates at once, against Adam (Kingma and Ba 2015, algorithm 1) on the gradient w + 2 λ Δ."""
     rate = 0.01
-    problem = linear_problem(pixels(), lead=0.0, weight=weight)
-    settings = Zoo(method="zoo", renderer="image", delta=1e-2, learning_rate=rate, weight=weight, coordinates=192)
-    method = ZooMethod(settings, problem)
-    method.start(problem)
+    problem = linear_problem(pixels(), lead=0.0, distance_weight=weight)
+    attack = Zoo(method="zoo", renderer="image", delta=1e-2, learning_rate=rate, weight=weight, coordinates=192)
+    state = attack.init(problem)
     w = linear_gradient().numpy().ravel()
     delta, first, second = (np.zeros_like(w) for _ in range(3))
     for step in range(1, steps + 1):
-        below = method.advance(problem, problem.view(method.perturbation), step)
+        state = attack.step(problem, state, evaluate(problem, state["delta"], step))
+        below = int(state["below_noise"])
         need(below <= 2, f"{below} differences are below the noise")
         gradient = w + 2 * weight * delta
         first, second = 0.9 * first + 0.1 * gradient, 0.999 * second + 0.001 * gradient**2
         delta = delta - rate * (first / (1 - 0.9**step)) / (np.sqrt(second / (1 - 0.999**step)) + 1e-8)
-    found = method.perturbation["image"].double().numpy().ravel()
+    found = state["delta"].double().numpy()
     # A difference has 1e-4, and Adam's quotient the relative error of its gradients: those that pass 0 are left out.
     large = np.abs(w) > 2.5 * weight * rate * steps + 0.01
     need(large.mean() > 0.5, f"only {large.mean():.0%} of the gradients are large")
@@ -174,24 +175,24 @@ def recurrence_cases() -> list[Case]:
 DEFINED = "largest error of a displayed value, against the definition in float64"
 
 
-def _rendered_fgsm(renderer: Renderer, group: str, steps: int, **settings: Any) -> tuple[AttackState, Parameters]:
+def _rendered_fgsm(renderer: Renderer, group: str, steps: int, **settings: Any) -> tuple[AttackRun, Parameters]:
     """The attack after all its steps, and its last perturbation, which need not be the one that it stored."""
     problem = linear_problem(renderer, (group,))
-    spec = Fgsm.model_validate({"renderer": renderer.name, "groups": (group,), "truncation": None} | settings)
-    method = FgsmMethod(spec, problem)
-    found = run(problem, method, Verifier(renderer, problem.target), Budget(steps))
-    need(found.step == steps, f"it stopped after {found.step} steps")
-    need(all(np.isfinite(row.perceptibility) for row in found.trace), "a perceptibility is not finite")
-    return found, method.perturbation
+    given = {"renderer": renderer.name, "groups": (group,), "truncation": None, "steps": steps}
+    attack = Fgsm.model_validate(given | settings)
+    run = run_attack(AttackRun.begin_or_resume(problem, attack, Verifier.of(problem)))
+    need(run.step == steps, f"it stopped after {run.step} steps")
+    need(all(np.isfinite(row.perceptibility) for row in run.trace), "a perceptibility is not finite")
+    return run, problem.layout.unflatten(run.state["delta"])
 
 
 def _no_step(renderer: Renderer, group: str) -> Measured:
     """η = 0 moves nothing, however often."""
-    found, last = _rendered_fgsm(renderer, group, 120, learning_rate={group: 0.0})
+    run, last = _rendered_fgsm(renderer, group, 120, learning_rate={group: 0.0})
     need(not bool(last[group].any()), "the perturbation is not zero")
     # Images with a gradient may be computed in another order than the original, to float32's rounding.
-    moved = max(row.perceptibility for row in found.trace)
-    need(len({row.perceptibility for row in found.trace}) == 1, "the image changes from step to step")
+    moved = max(row.perceptibility for row in run.trace)
+    need(len({row.perceptibility for row in run.trace}) == 1, "the image changes from step to step")
     return Measured(moved, 2e-7, "largest perceptibility in 120 steps, all alike; the perturbation is exactly 0")
 
 
@@ -216,7 +217,7 @@ def _far_angles() -> Measured:
     problem = linear_problem(renderer, ("normals",))
     shape = renderer.initial()["normals"].shape
     moved = 2e6 * torch.rand(shape, generator=torch.Generator().manual_seed(9)) - 1e6
-    value = renderer.initial()["normals"] + problem.clamp({"normals": moved})["normals"]
+    value = renderer.initial()["normals"] + problem.limits.clamp(moved.flatten()).reshape(shape)
     with torch.no_grad():
         seen = renderer.render({"normals": value[None]})[0]
     need(float((seen - problem.original[0]).abs().max()) > 0.01, "it does not move")
@@ -228,16 +229,16 @@ def _giant_zoo() -> Measured:
     """η = 1e3 through pyrender: out of the image and beyond every light, within bounds and finite."""
     renderer = build(placed(size=(16, 16)), "pyrender")
     problem = linear_problem(renderer)
-    method = ZooMethod(Zoo(method="zoo", renderer="pyrender", delta=1e-2, learning_rate=1e3, steps=20), problem)
-    found = run(problem, method, Verifier(renderer, problem.target), Budget(20))
-    outside = 0.0
-    for group in problem.groups:
+    attack = Zoo(method="zoo", renderer="pyrender", delta=1e-2, learning_rate=1e3, steps=20)
+    run = run_attack(AttackRun.begin_or_resume(problem, attack, Verifier.of(problem)))
+    outside, last = 0.0, problem.layout.unflatten(run.state["delta"])
+    for group, change in last.items():
         low, high = renderer.bounds()[group]
-        value = renderer.initial()[group] + method.perturbation[group]
+        value = renderer.initial()[group] + change
         need(bool(torch.isfinite(value).all()), f"{group} is not finite")
         outside = max(outside, float((low - value).clamp_min(0).max()), float((value - high).clamp_min(0).max()))
-    need(max(float(v.abs().max()) for v in method.perturbation.values()) > 100, "it does not move")
-    need(all(np.isfinite(row.perceptibility) for row in found.trace), "a perceptibility is not finite")
+    need(max(float(v.abs().max()) for v in last.values()) > 100, "it does not move")
+    need(all(np.isfinite(row.perceptibility) for row in run.trace), "a perceptibility is not finite")
     return Measured(outside, 1e-6, "how far any parameter is out of its bounds after 20 steps")
 
 
@@ -254,12 +255,12 @@ def _no_gradient() -> Measured:
     """A black object shows no light, material or normals: 120 steps with zero gradients, all reported flat."""
     renderer = build(placed(thing={"color": (0, 0, 0)}, size=(16, 16)), "torch")
     problem = linear_problem(renderer)
-    method = FgsmMethod(Fgsm(groups=renderer.plan.groups), problem)
-    found = run(problem, method, Verifier(renderer, problem.target), Budget(120))
-    reported = [row.below_noise for row in found.trace]
+    attack = Fgsm(groups=renderer.plan.groups, steps=120)
+    run = run_attack(AttackRun.begin_or_resume(problem, attack, Verifier.of(problem)))
+    reported = [row.below_noise for row in run.trace]
     need(reported == [0] + [3] * 120, "not all three groups are reported flat at every step")
-    need(found.stopped == "steps", f"it stopped for {found.stopped}")
-    moved = max(float(v.abs().max()) for v in found.stored.values())
+    need(run.stopped == "steps", f"it stopped for {run.stopped}")
+    moved = max(float(v.abs().max()) for v in run.stored.values())
     return Measured(moved, 0.0, "largest perturbation; three of three groups reported flat, 120 times")
 
 
@@ -268,17 +269,20 @@ def _coasting() -> Measured:
     renderer = build(placed(thing={"color": (0, 0, 0)}, size=(16, 16)), "torch")
     problem = linear_problem(renderer, ("illumination",))
     rate, momentum, decay = 3e-3, 0.9, 1e-2
-    settings = {"groups": ("illumination",), "learning_rate": {"illumination": rate}, "weight_decay": decay}
-    method = FgsmMethod(Fgsm.model_validate(settings), problem)
-    state = method.state()
-    state["velocity.illumination"] = torch.full_like(state["velocity.illumination"], -1.0)
-    method.load(state)
-    found = run(problem, method, Verifier(renderer, problem.target), Budget(120))
+    settings = {
+        "groups": ("illumination",),
+        "learning_rate": {"illumination": rate},
+        "weight_decay": decay,
+        "steps": 120,
+    }
+    run = AttackRun.begin_or_resume(problem, Fgsm.model_validate(settings), Verifier.of(problem))
+    run.state["velocity"] = torch.full_like(run.state["velocity"], -1.0)
+    run_attack(run)
     # (Δ, v) → v' = momentum·v + decay·Δ, Δ' = Δ − rate·v'
     step = np.array([[1 - rate * decay, -rate * momentum], [decay, momentum]])
     wanted = float((np.linalg.matrix_power(step, 120) @ np.array([0.0, -1.0]))[0])
-    need(found.step == 120, f"it stopped after {found.step} steps")
-    error = (found.stored["illumination"].double() - wanted).abs().max()
+    need(run.step == 120, f"it stopped after {run.step} steps")
+    error = (run.stored["illumination"].double() - wanted).abs().max()
     return Measured(float(error) / wanted, 1e-5, "relative error of the perturbation, closed form")
 
 
@@ -362,16 +366,13 @@ def _too_small(renderer: Renderer, group: str) -> Measured:
 
 def _zoo_flat() -> Measured:
     """An attack all of whose differences are flat goes nowhere, and every row of its trace says so."""
-    renderer = pixels()
-    problem = linear_problem(renderer)
-    method = ZooMethod(Zoo(method="zoo", renderer="image", delta=1e-12, coordinates=50, steps=3), problem)
-    found = run(problem, method, Verifier(renderer, problem.target), Budget(3))
-    reported = [row.below_noise for row in found.trace]
+    problem = linear_problem(pixels())
+    settings = Zoo(method="zoo", renderer="image", delta=1e-12, coordinates=50, steps=3)
+    run = run_attack(AttackRun.begin_or_resume(problem, settings, Verifier.of(problem)))
+    reported = [row.below_noise for row in run.trace]
     need(reported == [0, 50, 50, 50], f"reported below the noise: {reported}")
-    need(not any(bool(v.any()) for n, v in method.state().items() if n in ("first", "second", "moves")), "Adam moved")
-    return Measured(
-        float(found.stored["image"].abs().max()), 0.0, "largest perturbation; all differences reported flat"
-    )
+    need(not any(bool(run.state[name].any()) for name in ("first", "second", "moves")), "Adam moved")
+    return Measured(float(run.stored["image"].abs().max()), 0.0, "largest perturbation; all differences reported flat")
 
 
 def _gradients(delta: float, at: float = 0.0) -> tuple[Tensor, Tensor, Tensor, float]:

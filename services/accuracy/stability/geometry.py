@@ -13,10 +13,10 @@ from services.accuracy.stability.case import Case, Measured, need
 from services.accuracy.stability.objects import box, linear_network, square
 from services.accuracy.stability.references import cast, expected
 from services.accuracy.stability.torch_shading import Shading
-from services.attacks.fgsm import Fgsm, FgsmMethod
+from services.attacks.fgsm import Fgsm
 from services.attacks.goal import ResolvedGoal
-from services.attacks.problem import AttackProblem
-from services.attacks.run import Budget, Verifier, run
+from services.attacks.problem import AttackProblem, evaluate
+from services.attacks.run import AttackRun, Verifier, run_attack
 from services.rendering.factory import build
 from services.rendering.opengl.gbuffer import FACTOR, GBuffer, rasterise
 from services.rendering.protocol import Renderer
@@ -366,15 +366,16 @@ def _attacked(size: tuple[int, int], renderer: str) -> Measured:
     network = linear_network()
     groups = drawn.plan.groups
     label = int(network.logits(drawn.render({g: drawn.initial()[g][None] for g in groups}).float()).argmax())
-    problem = AttackProblem(drawn, network, ResolvedGoal((label,), None), groups, truncation=18 / 255)
+    problem = AttackProblem.of(drawn, network, ResolvedGoal((label,), None), groups, truncation=18 / 255)
     far = dict.fromkeys(groups, 1.0)
-    method = FgsmMethod(Fgsm.model_validate({"renderer": renderer, "learning_rate": far}), problem)
-    found = run(problem, method, Verifier(drawn, network), Budget(5))
-    need(found.trace[-1].truncated > 0, "it never comes to U")
-    need(all(np.isfinite((row.loss, row.advantage, row.distance)).all() for row in found.trace), "a row is not finite")
-    need(found.image.shape == (*size, 3), f"the image is {tuple(found.image.shape)}")
-    need(found.trace[-1].distance > 0, "it does not move")
-    moved = (problem.view(found.stored).images - problem.original).abs().max()
+    settings = Fgsm.model_validate({"renderer": renderer, "learning_rate": far, "steps": 5})
+    run = run_attack(AttackRun.begin_or_resume(problem, settings, Verifier.of(problem)))
+    need(run.trace[-1].truncated > 0, "it never comes to U")
+    need(all(np.isfinite((row.loss, row.advantage, row.distance)).all() for row in run.trace), "a row is not finite")
+    assert run.best is not None
+    need(run.best.saved.shape == (*size, 3), f"the image is {tuple(run.best.saved.shape)}")
+    need(run.trace[-1].distance > 0, "it does not move")
+    moved = (evaluate(problem, run.best.delta, 0).image - problem.original).abs().max()
     return Measured(float(moved), 18 / 255 + 1e-6, "largest change of a value; U is 18/255")
 
 

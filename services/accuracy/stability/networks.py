@@ -18,10 +18,10 @@ from services.accuracy.stability.objects import SIDE, linear_network
 from services.accuracy.stability.references import displayed
 from services.accuracy.stability.torch_shading import Shading
 from services.attacks.attack import LARGEST_SEED, Seed
-from services.attacks.fgsm import Fgsm, FgsmMethod
+from services.attacks.fgsm import Fgsm
 from services.attacks.goal import ResolvedGoal
 from services.attacks.problem import AttackProblem
-from services.attacks.run import Budget, Verifier, run
+from services.attacks.run import AttackRun, Verifier, run_attack
 from services.attacks.seeds import generator
 from services.errors import InvalidRequest
 from services.rendering.color import as_saved, to_display
@@ -84,11 +84,11 @@ def _perturbed(network: Classifier) -> Tensor:
     image = torch.rand(SIDE, SIDE, 3, generator=torch.Generator().manual_seed(5))
     renderer = ImageRenderer(image, "random numbers")
     label = int(network.logits(image[None]).argmax())
-    problem = AttackProblem(renderer, network, ResolvedGoal((label,), None), ("image",))
-    settings = Fgsm(renderer="image", learning_rate={"image": 1e-4}, truncation=None)
-    found = run(problem, FgsmMethod(settings, problem), Verifier(renderer, network), Budget(steps=5))
-    need(found.step == 5, f"it stopped after {found.step} steps")
-    return found.stored["image"]
+    problem = AttackProblem.of(renderer, network, ResolvedGoal((label,), None), ("image",))
+    settings = Fgsm(renderer="image", learning_rate={"image": 1e-4}, truncation=None, steps=5)
+    run = run_attack(AttackRun.begin_or_resume(problem, settings, Verifier.of(problem)))
+    need(run.step == 5, f"it stopped after {run.step} steps")
+    return run.stored["image"]
 
 
 def _tied() -> Measured:

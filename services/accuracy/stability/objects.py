@@ -174,7 +174,7 @@ def linear_problem(
 ) -> AttackProblem:
     """To leave the first of the network's two labels; `groups` None: those it is compiled for."""
     network = linear_network(classes=2, lead=lead)
-    return AttackProblem(renderer, network, ResolvedGoal((0,), None), groups or renderer.plan.groups, **more)
+    return AttackProblem.of(renderer, network, ResolvedGoal((0,), None), groups or renderer.plan.groups, **more)
 
 
 def linear_gradient() -> Tensor:

@@ -238,7 +238,7 @@ def _held(by: float) -> Measured:
     shading = Shading.of(placed(radiance=sky(), size=TABLES))
     start = shading.renderer.initial()["material"]
     problem = linear_problem(shading.renderer, ("material",))
-    material = start + problem.clamp({"material": torch.full_like(start, by)})["material"]
+    material = start + problem.limits.clamp(torch.full_like(start, by).flatten()).reshape(start.shape)
     kappa, gamma = (1e4, 1e5) if by > 0 else (1e-6, 1e-3)
     wanted = torch.tensor([log(kappa), log(gamma)], dtype=torch.float64)[:, None] * 30.0
     need(float((material.double() - wanted).abs().max()) < 1e-3, f"it is not held at κ = {kappa:g} and γ = {gamma:g}")

@@ -15,11 +15,11 @@ from torch import Tensor
 
 from services.accuracy.placing import placed
 from services.accuracy.work_precision.shading import GROUPS, TOLERANCES
-from services.attacks.attack import ATTACKS, AttackSettings
+from services.attacks.attack import Attack
 from services.attacks.fgsm import Fgsm
 from services.attacks.goal import ResolvedGoal
 from services.attacks.problem import AttackProblem
-from services.attacks.run import AttackState, Budget, Verifier, run
+from services.attacks.run import AttackRun, Verifier, run_attack
 from services.attacks.zoo import Zoo
 from services.rendering.color import as_saved
 from services.rendering.factory import build
@@ -109,7 +109,7 @@ class Case:
 
     scene: str
     label: str
-    attack: AttackSettings
+    attack: Attack
     tolerance: Tolerance
     seed: int = 0
 
@@ -145,26 +145,27 @@ def attack(case: Case) -> AttackRow:
     goal = ResolvedGoal(_truth(case, target.labels), None)
     if bool(goal.fooled(verifier.logits(verifier.image({})))):
         return AttackRow(**known, outcome="wrong to begin with")
-    problem = AttackProblem(
-        renderer=renderer,
-        target=target,
-        goal=goal,
-        groups=settings.groups,
+    problem = AttackProblem.of(
+        renderer,
+        target,
+        goal,
+        settings.groups,
         seed=case.seed,
         truncation=None if settings.truncation is None else settings.truncation / 255,
-        weight=settings.distance_weight,
+        distance_weight=settings.distance_weight,
+        counts=verifier.counts,
     )
-    method = ATTACKS[settings.method].method(settings, problem)
-    found = run(problem, method, verifier, Budget(settings.steps))
-    last = found.trace[-1]
+    run = run_attack(AttackRun.begin_or_resume(problem, settings, verifier))
+    last = run.trace[-1]
+    assert run.best is not None
     return AttackRow(
         **known,
-        outcome=_outcome(found),
-        steps=found.step,
+        outcome=_outcome(run),
+        steps=run.step,
         queries=last.queries,
         seconds=last.seconds,
-        perceptibility=found.trace[found.stored_step].perceptibility,
-        advantages=[row.advantage for row in found.trace],
+        perceptibility=run.trace[run.best.step].perceptibility,
+        advantages=[row.advantage for row in run.trace],
     )
 
 
@@ -179,10 +180,10 @@ def target_size() -> tuple[int, int]:
     return load(NETWORK).input_size
 
 
-def _outcome(found: AttackState) -> Outcome:
-    if found.verified:
+def _outcome(run: AttackRun) -> Outcome:
+    if run.verified:
         return "verified"
-    return "fooled in the loop only" if found.fooled else "held"
+    return "fooled in the loop only" if run.fooled else "held"
 
 
 # Work to a verified adversary

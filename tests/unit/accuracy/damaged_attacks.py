@@ -4,9 +4,9 @@ import torch
 
 from services.accuracy.stability import attacks, networks
 from services.attacks import differences as attack_differences
-from services.attacks import goal, problem
+from services.attacks import goal, limits, run
 from services.attacks.differences import Estimate
-from services.attacks.fgsm import FgsmMethod
+from services.attacks.fgsm import Fgsm
 from services.rendering import color
 from services.targets.classifier import Classifier
 
@@ -63,52 +63,49 @@ def never_flat(patch) -> None:
 
 
 def no_bounds(patch) -> None:
-    patch.setattr(problem.AttackProblem, "clamp", lambda _, perturbation: dict(perturbation))
+    patch.setattr(limits.Limits, "clamp", lambda _, deltas: deltas)
 
 
 def drifting(patch) -> None:
     """Every step goes a little further than it should, and none is reported flat."""
-    true = FgsmMethod.advance
+    true = Fgsm.step
 
-    def advance(self, *given):
-        true(self, *given)
-        self.perturbation = {group: value * 1.01 + 1e-3 for group, value in self.perturbation.items()}
-        return 0
+    def step(self, *given):
+        state = true(self, *given)
+        return state | {"delta": state["delta"] * 1.01 + 1e-3, "below_noise": torch.tensor(0)}
 
-    patch.setattr(FgsmMethod, "advance", advance)
+    patch.setattr(Fgsm, "step", step)
 
 
 def runaway(patch) -> None:
     """Steps that grow without end."""
-    true = FgsmMethod.advance
+    true = Fgsm.step
 
-    def advance(self, *given):
-        flat = true(self, *given)
-        self.perturbation = {group: value * torch.inf for group, value in self.perturbation.items()}
-        return flat
+    def step(self, *given):
+        state = true(self, *given)
+        return state | {"delta": state["delta"] * torch.inf}
 
-    patch.setattr(FgsmMethod, "advance", advance)
+    patch.setattr(Fgsm, "step", step)
 
 
 def silent(patch) -> None:
     """A gradient of zero is not reported."""
-    true = FgsmMethod.advance
-    patch.setattr(FgsmMethod, "advance", lambda self, *given: 0 * true(self, *given))
+    patch.setattr(run, "below_noise", lambda *_: 0)
 
 
 def exact_limit(patch) -> None:
     """U without an allowance for rounding."""
-    patch.setattr(problem, "ROUNDING", 0.0)
+    patch.setattr(limits, "ROUNDING", 0.0)
 
 
 def no_limit(patch) -> None:
     """Nothing is held back at U."""
-    true = problem.truncate
+    true = limits.truncate
 
     def truncate(images, original, limit):
         return images, true(images, original, limit)[1]
 
-    patch.setattr(problem, "truncate", truncate)
+    patch.setattr(limits, "truncate", truncate)
 
 
 def narrow_rounding(patch) -> None:

@@ -5,11 +5,12 @@ from dataclasses import replace
 import torch
 
 from services.accuracy.stability import attacks
-from services.attacks import differences, goal, problem, zoo
-from services.attacks.differences import Estimate, evaluate
-from services.attacks.fgsm import FgsmMethod
+from services.attacks import differences, goal, limits, problem, zoo
+from services.attacks.differences import Estimate
+from services.attacks.fgsm import Fgsm
 from services.attacks.goal import ResolvedGoal
-from services.attacks.zoo import ZooMethod
+from services.attacks.problem import AttackProblem
+from services.attacks.zoo import Zoo
 
 
 def estimates(change):
@@ -26,7 +27,7 @@ def estimates(change):
 def _one_sided(_, problem, at, coordinates, half_steps, noise):
     moved = at.repeat(len(coordinates) + 1, 1)
     moved[torch.arange(len(coordinates)), coordinates] += half_steps.to(moved.dtype)
-    scores = evaluate(problem, moved)
+    scores = problem.objectives(moved)
     change = scores[:-1] - scores[-1]
     below_noise = change.abs() <= noise
     return Estimate(torch.where(below_noise, 0.0, change / half_steps), below_noise)
@@ -43,48 +44,46 @@ differences_over_one_step = estimates(_scaled)
 
 def negative_weight(patch) -> None:
     """λ rewards large changes."""
-    true = differences.penalty
-    patch.setattr(differences, "penalty", lambda problem, images: -true(problem, images))
+    true = AttackProblem.penalty
+    patch.setattr(AttackProblem, "penalty", lambda self, images: -true(self, images))
 
 
 def weight_of_distance(patch) -> None:
     """λ times the length of the change, not its square."""
-    true = differences.distances
-    patch.setattr(differences, "distances", lambda *given: true(*given).sqrt())
+    true = problem.distances
+    patch.setattr(problem, "distances", lambda *given: true(*given).sqrt())
 
 
 def gradient_through_held_pixels(patch) -> None:
-    true = problem.truncate
+    true = limits.truncate
 
     def truncate(images, original, limit):
         held, which = true(images, original, limit)
         return images + (held - images).detach(), which
 
-    patch.setattr(problem, "truncate", truncate)
+    patch.setattr(limits, "truncate", truncate)
 
 
 def truncated_around_grey(patch) -> None:
-    true = problem.truncate
+    true = limits.truncate
 
     def truncate(images, original, limit):
         return true(images, torch.full_like(original, 0.5), limit)
 
-    patch.setattr(problem, "truncate", truncate)
+    patch.setattr(limits, "truncate", truncate)
 
 
 def twice_the_limit(patch) -> None:
-    true = problem.truncate
-    patch.setattr(problem, "truncate", lambda images, original, limit: true(images, original, limit and 2 * limit))
+    true = limits.truncate
+    patch.setattr(limits, "truncate", lambda images, original, limit: true(images, original, limit and 2 * limit))
 
 
 def settings(**changed):
     """Breaks FGSM by ignoring settings."""
 
     def apply(patch) -> None:
-        true = FgsmMethod.__init__
-        patch.setattr(
-            FgsmMethod, "__init__", lambda self, spec, problem: true(self, spec.model_copy(update=changed), problem)
-        )
+        true = Fgsm.step
+        patch.setattr(Fgsm, "step", lambda self, *given: true(self.model_copy(update=changed), *given))
 
     return apply
 
@@ -95,16 +94,14 @@ no_decay = settings(weight_decay=0.0)
 
 def cut_velocity(patch) -> None:
     """What bounds take from a step they take from the momentum too."""
-    true = FgsmMethod.advance
+    true = Fgsm.step
 
-    def advance(self, problem, seen, step):
-        before = {group: value.clone() for group, value in self.perturbation.items()}
-        found = true(self, problem, seen, step)
-        rates = self.settings.learning_rate
-        self.velocity = {g: (before[g] - v) / max(rates[g], 1e-9) for g, v in self.perturbation.items()}
-        return found
+    def step(self, problem, state, evaluation):
+        after = true(self, problem, state, evaluation)
+        rates = problem.layout.spread(self.learning_rate).clamp_min(1e-9)
+        return after | {"velocity": ((state["delta"] - after["delta"]) / rates).to(after["velocity"].dtype)}
 
-    patch.setattr(FgsmMethod, "advance", advance)
+    patch.setattr(Fgsm, "step", step)
 
 
 def uphill(patch) -> None:
@@ -126,14 +123,13 @@ def hinged_advantage(patch) -> None:
 
 def no_bias_correction(patch) -> None:
     """Adam's moments count as if there had been a million steps."""
-    true = ZooMethod.start
+    true = Zoo.init
 
-    def start(self, problem):
-        found = true(self, problem)
-        self.moves += 10**6
-        return found
+    def init(self, problem):
+        state = true(self, problem)
+        return state | {"moves": state["moves"] + 10**6}
 
-    patch.setattr(ZooMethod, "start", start)
+    patch.setattr(Zoo, "init", init)
 
 
 def swapped_betas(patch) -> None:
@@ -142,4 +138,4 @@ def swapped_betas(patch) -> None:
 
 def unmeasured_step(patch) -> None:
     """The difference step is not measured."""
-    patch.setattr(differences, "measure_half_steps", lambda problem, *_: dict.fromkeys(problem.groups, 1e-4))
+    patch.setattr(differences, "measure_half_steps", lambda problem, *_: dict.fromkeys(problem.layout.groups, 1e-4))

@@ -65,12 +65,12 @@ def both(target: Built, images: int = 4096, seed: int = 0) -> tuple[Attribution,
     verifier, goal = Verifier(Pixels(), target), ResolvedGoal((0,), None)
     ends = scored(verifier, {}), scored(verifier, PERTURBATION)
     rows = subsets(verifier, goal, PERTURBATION, *ends)
-    queries = verifier.queries
+    queries = verifier.counts.queries
     ticks: list[tuple[int, int]] = []
     coordinates = of_coordinates(
         verifier, goal, PERTURBATION, *ends, images=images, seed=seed, tick=lambda *tick: ticks.append(tick)
     )
-    assert coordinates.images == len(ticks) == verifier.queries - queries
+    assert coordinates.images == len(ticks) == verifier.counts.queries - queries
     assert [done for done, _ in ticks] == list(range(len(ticks)))
     assert all(done < of for done, of in ticks)
     return of_subsets(rows), coordinates

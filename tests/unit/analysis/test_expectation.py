@@ -51,7 +51,7 @@ def test_only_variations_that_were_right_count(goal: ResolvedGoal, wanted: tuple
     assert found.share == fooled / right
     assert found.interval == wilson(fooled, right)
     assert found.wrong_interval == wilson(60 - right, 60)
-    assert verifier.queries == 60 + right
+    assert verifier.counts.queries == 60 + right
 
 
 def test_a_scene_that_is_right_nowhere_has_no_share() -> None:

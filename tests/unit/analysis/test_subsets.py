@@ -13,9 +13,9 @@ def test_every_subset_once_and_the_ends_are_the_original_and_the_attacked() -> N
     verifier = Verifier(case.renderer, case.target)
     perturbation = {"a": torch.full((2, 3), 0.05), "b": torch.full((3,), 0.3)}
     known = scored(verifier, {}), scored(verifier, perturbation)
-    asked = verifier.queries
+    asked = verifier.counts.queries
     rows = subsets(verifier, case.goal, perturbation, *known)
-    assert verifier.queries == asked + 2  # what is known is not asked again
+    assert verifier.counts.queries == asked + 2  # what is known is not asked again
     assert [row.groups for row in rows] == [[], ["a"], ["b"], ["a", "b"]]
     assert rows[0].perceptibility == 0
     assert not rows[0].fooled

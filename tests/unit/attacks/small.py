@@ -2,15 +2,17 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import ClassVar
 
 import torch
 from torch import Tensor
 
+from services.attacks.attack import Attack, State
 from services.attacks.goal import ResolvedGoal
-from services.attacks.problem import AttackProblem, Evaluation, gradients, quantize
+from services.attacks.problem import AttackProblem, Evaluation, differentiate, evaluate
+from services.attacks.run import AttackRun, Verifier, run_attack
 from services.rendering.plan import ImageError, Plan
-from services.rendering.protocol import Parameters
 
 
 @dataclass
@@ -120,15 +122,26 @@ def problem(
     renderer, target = renderer or LinearRenderer(), target or LinearTarget()
     start = {g: v[None] for g, v in renderer.initial().items()}
     first = int(target.logits(renderer.render(start)).argmax())
-    return AttackProblem(renderer, target, ResolvedGoal((first,), None), renderer.groups, **settings)  # type: ignore[arg-type]
+    return AttackProblem.of(renderer, target, ResolvedGoal((first,), None), renderer.groups, **settings)  # type: ignore[arg-type]
 
 
-def guided(case: AttackProblem, perturbation: Parameters) -> Evaluation:
-    """The view of a perturbation with the objective and its gradients, as the loop hands it to gradient methods."""
-    view = case.view(perturbation, gradient=True)
-    logits = case.logits(quantize(view.images)[1])
-    found = gradients(case, view, logits)
-    return replace(view, gradients=found, objective=float(case.objective(logits.detach())))
+def attack(case: AttackProblem, settings: Attack, checkpoint: Path | None = None, **given: object) -> AttackRun:
+    """Runs an attack with these settings, changed by `given`, to its end."""
+    return run_attack(AttackRun.begin_or_resume(case, settings.model_copy(update=given), Verifier.of(case), checkpoint))
+
+
+def guided(case: AttackProblem, delta: Tensor, step: int = 0) -> Evaluation:
+    """The evaluation of a perturbation [total] with the objective and its gradient, as the loop hands it to attacks."""
+    found = differentiate(case, evaluate(case, delta, step, gradient=True))
+    return replace(found, objective=float(case.objective(found.answers).mean()))
+
+
+def stepped(case: AttackProblem, settings: Attack, state: State, step: int) -> State:
+    """The state after one step of an attack, as the loop takes it."""
+    if settings.needs_gradient:
+        return settings.step(case, state, guided(case, state["delta"], step))
+    looked = evaluate(case, state["delta"], step)
+    return settings.step(case, state, replace(looked, objective=float(case.objective(looked.answers).mean())))
 
 
 class Pixels(LinearRenderer):
@@ -186,7 +199,7 @@ def smooth() -> AttackProblem:
 def autograd(case: AttackProblem, at: torch.Tensor) -> torch.Tensor:
     """The gradient of the advantage + λ‖ΔY‖² at a perturbation [total], by autograd through the renderer."""
     leaf = at.clone().requires_grad_()
-    images = case.renderer.render(case.layout.unflatten((case.layout.flatten(case.initial) + leaf)[None]))
+    images = case.renderer.render(case.layout.unflatten((case.initial + leaf)[None]))
     value = case.goal.advantage(case.target.logits(images)).sum()
-    value = value + case.weight * (images - case.original).square().sum()
+    value = value + case.distance_weight * (images - case.original).square().sum()
     return torch.autograd.grad(value, leaf)[0]

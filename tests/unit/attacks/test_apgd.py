@@ -5,10 +5,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from services.attacks.apgd import Apgd, ApgdMethod
-from services.attacks.problem import AttackProblem
-from services.attacks.run import Budget, Verifier, run
-from tests.unit.attacks.small import FreeRenderer, LinearTarget, Pixels, guided, problem
+from services.attacks.apgd import Apgd
+from services.attacks.attack import State
+from services.attacks.problem import AttackProblem, evaluate
+from tests.unit.attacks.small import FreeRenderer, LinearTarget, Pixels, attack, problem
 
 EPSILON = 3 / 255
 
@@ -22,60 +22,52 @@ def test_it_reaches_the_optimum_of_a_linear_network_exactly(loss: str) -> None:
     """Under L∞ the least of w·x within ε and [0,1] is at the corner x − ε·sign(w), clipped."""
     renderer, target = Pixels(), LinearTarget(scale=1e-3, classes=2)
     case = problem(renderer, target, loss=loss, epsilon={"image": EPSILON})
-    found = run(case, ApgdMethod(settings({"image": EPSILON}, 20), case), Verifier(renderer, target), Budget(20))
+    found = attack(case, settings({"image": EPSILON}, 20))
+    assert found.best is not None
     rows = target.weights[:, case.goal.leave[0]] - target.weights[:, 1 - case.goal.leave[0]]
     corner = (case.original[0] - EPSILON * rows.reshape(4, 5, 3).sign()).clamp(0, 1)
     torch.testing.assert_close(case.original[0] + found.stored["image"], corner, rtol=0, atol=1e-12)
     scores = target.logits(corner[None])[0]
     least = float(scores[case.goal.leave[0]] - scores[1 - case.goal.leave[0]])
     # the image is float32 k/255 where it is shown to the network
-    assert found.trace[found.stored_step].advantage == pytest.approx(least, abs=1e-7)
+    assert found.trace[found.best.step].advantage == pytest.approx(least, abs=1e-7)
 
 
-def descend(bottom: Tensor, curvature: Tensor, steps: int) -> tuple[ApgdMethod, Tensor, AttackProblem]:
-    """APGD on ½·Σ c·(δ − bottom)², handed to it as the loop would; returns it, and its objectives."""
-    case = problem(FreeRenderer(), epsilon={"a": 1.0, "b": 1.0})
-    method = ApgdMethod(settings({"a": 1.0, "b": 1.0}, steps), case)
-    view = case.view(case.nothing())
-    objectives = []
-    for step in range(steps):
-        at = case.layout.flatten(method.perturbation)
-        value = 0.5 * (curvature * (at - bottom).square()).sum()
-        gradients = case.layout.unflatten(curvature * (at - bottom))
-        method.advance(
-            case, replace(view, perturbation=method.perturbation, gradients=gradients, objective=float(value)), step
-        )
-        objectives.append(float(value))
-    return method, torch.tensor(objectives), case
+UNIT = {"a": 1.0, "b": 1.0}
+
+
+def handed(case: AttackProblem, attack: Apgd, state: State, step: int, objective: float, gradient: Tensor) -> State:
+    """The state after a step whose evaluation has this objective and gradient, whatever the network would say."""
+    look = evaluate(case, state["delta"], step)
+    return attack.step(case, state, replace(look, objective=objective, gradient=gradient))
 
 
 def test_its_step_shrinks_until_it_rests_at_the_bottom_of_a_bowl() -> None:
-    """Sign steps of a fixed size would stay about as far from the bottom as they are long."""
+    """Sign steps of a fixed size would stay about as far from the bottom as they are long. ½·Σ c·(δ − bottom)²."""
     random = torch.Generator().manual_seed(0)
     bottom = torch.rand(9, generator=random, dtype=torch.float64) - 0.5
     curvature = 10 ** (2 * torch.rand(9, generator=random, dtype=torch.float64))
-    method, objectives, _ = descend(bottom, curvature, 100)
-    assert method.step_size <= 2 * 2.0**-7  # of 8 checkpoints, all but the first may find nothing better
-    assert float((method.best - bottom).abs().max()) < 0.01
-    assert float(method.objectives[1]) == pytest.approx(float(objectives.min()))
+    case, apgd, objectives = problem(FreeRenderer(), epsilon=UNIT), settings(UNIT, 100), []
+    state = apgd.init(case)
+    for step in range(100):
+        away = state["delta"] - bottom
+        objectives.append(float(0.5 * (curvature * away.square()).sum()))
+        state = handed(case, apgd, state, step, objectives[-1], curvature * away)
+    assert float(state["step_size"]) <= 2 * 2.0**-7  # of 8 checkpoints, all but the first may find nothing better
+    assert float((state["best"] - bottom).abs().max()) < 0.01
+    assert float(state["objectives"][1]) == pytest.approx(min(objectives))
 
 
 def test_the_checkpoints_are_the_papers() -> None:
     """p₁ = 0.22, then periods shorter by 0.03 down to 0.06, of 100 steps: w = 22, 41, 57, 70, 80, 87, 93, 99."""
     bottom = torch.full((9,), 0.3, dtype=torch.float64)
-    checkpoints = []
-    case = problem(FreeRenderer(), epsilon={"a": 1.0, "b": 1.0})
-    method = ApgdMethod(settings({"a": 1.0, "b": 1.0}, 100), case)
-    view = case.view(case.nothing())
+    checkpoints, case, apgd = [], problem(FreeRenderer(), epsilon=UNIT), settings(UNIT, 100)
+    state = apgd.init(case)
     for step in range(101):
-        at = case.layout.flatten(method.perturbation)
-        gradients = case.layout.unflatten(at - bottom)
-        sizes = method.step_size
+        size = float(state["step_size"])
         # an objective that never improves: each checkpoint halves
-        method.advance(
-            case, replace(view, perturbation=method.perturbation, gradients=gradients, objective=float(step)), step
-        )
-        if method.step_size < sizes:
+        state = handed(case, apgd, state, step, float(step), state["delta"] - bottom)
+        if float(state["step_size"]) < size:
             checkpoints.append(step)
     assert checkpoints == [22, 41, 57, 70, 80, 87, 93, 99]
 
@@ -128,47 +120,24 @@ def test_its_points_are_those_of_the_papers_algorithm(seed: int) -> None:
         value, slope = objective(at)
         return -value, -slope
 
-    case = problem(FreeRenderer(), epsilon={"a": 1.0, "b": 1.0})
-    method = ApgdMethod(settings({"a": 1.0, "b": 1.0}, 100), case)
-    view, points = case.view(case.nothing()), papers_points(risen, 100)
+    case, apgd, points = problem(FreeRenderer(), epsilon=UNIT), settings(UNIT, 100), papers_points(risen, 100)
+    state = apgd.init(case)
     for step in range(100):
-        at = case.layout.flatten(method.perturbation)
-        torch.testing.assert_close(at, points[step], rtol=0, atol=1e-12)
-        value, slope = objective(at)
-        gradients = case.layout.unflatten(slope)
-        method.advance(
-            case, replace(view, perturbation=method.perturbation, gradients=gradients, objective=value), step
-        )
-    assert method.step_size < 0.1
+        torch.testing.assert_close(state["delta"], points[step], rtol=0, atol=1e-12)
+        state = handed(case, apgd, state, step, *objective(state["delta"]))
+    assert float(state["step_size"]) < 0.1
 
 
 def test_a_halving_goes_back_to_the_best_point() -> None:
-    case = problem(FreeRenderer(), epsilon={"a": 1.0, "b": 1.0})
-    method = ApgdMethod(settings({"a": 1.0, "b": 1.0}, 10), case)  # the first checkpoint is after 2 steps
-    view = case.view(case.nothing())
-    seen = []
+    case, apgd, seen = problem(FreeRenderer(), epsilon=UNIT), settings(UNIT, 10), []
+    state = apgd.init(case)  # the first checkpoint is after 2 steps
     for step, objective in enumerate([0.0, 1.0, 2.0]):
-        seen.append(case.layout.flatten(method.perturbation))
-        gradients = {group: torch.ones_like(value) for group, value in method.perturbation.items()}
-        method.advance(
-            case, replace(view, perturbation=method.perturbation, gradients=gradients, objective=objective), step
-        )
-    assert method.step_size == 1.0
+        seen.append(state["delta"])
+        state = handed(case, apgd, state, step, objective, torch.ones(9, dtype=torch.float64))
+    assert float(state["step_size"]) == 1.0
     # from the best point, the start: 3/4 of a step of ε, and a quarter of the way to it from the point before
     wanted = (seen[0] + 0.75 * (-1.0) + 0.25 * (seen[0] - seen[1])).clamp(-1, 1)
-    torch.testing.assert_close(method.delta, wanted)
-
-
-def test_its_state_continues_where_it_was() -> None:
-    case = problem(FreeRenderer(), LinearTarget(scale=0.1), epsilon={"a": 0.05, "b": 0.05})
-    whole, rest = (ApgdMethod(settings({"a": 0.05, "b": 0.05}, 30), case) for _ in range(2))
-    for step in range(24):
-        if step == 11:
-            rest.load({name: value.clone() for name, value in whole.state().items()})
-        for method in (whole, rest) if step >= 11 else (whole,):
-            method.advance(case, guided(case, method.perturbation), step)
-    assert torch.equal(whole.delta, rest.delta)
-    assert whole.step_size == rest.step_size < 2
+    torch.testing.assert_close(state["delta"], wanted)
 
 
 def authors_loop(
@@ -212,8 +181,8 @@ def test_it_takes_the_steps_of_the_authors_loop(falling: float) -> None:
     now and then, after which they fall without being the least. Every checkpoint thus goes either way.
     """
     epsilon, steps = 0.5, 100
-    case = problem(FreeRenderer(), epsilon={"a": epsilon, "b": epsilon})
-    view = case.view(case.nothing())
+    apgd = settings({"a": epsilon, "b": epsilon}, steps)
+    case = problem(FreeRenderer(), epsilon=apgd.epsilon)
     outcomes = set()
     for seed in range(12):
         random = torch.Generator().manual_seed(seed)
@@ -226,14 +195,12 @@ def test_it_takes_the_steps_of_the_authors_loop(falling: float) -> None:
             return (3 * waves @ x + 1).sin()
 
         wanted, halved = authors_loop(values, gradient, torch.zeros(9, dtype=torch.float64), epsilon, steps)
-        method = ApgdMethod(settings({"a": epsilon, "b": epsilon}, steps), case)
-        sizes = [method.step_size]
+        state = apgd.init(case)
+        sizes = [float(state["step_size"])]
         for step in range(steps + 1):
-            at = case.layout.flatten(method.perturbation)
-            torch.testing.assert_close(at, wanted[step], rtol=0, atol=1e-12)
-            seen = replace(view, perturbation=method.perturbation, objective=values[step])
-            method.advance(case, replace(seen, gradients=case.layout.unflatten(gradient(at))), step)
-            sizes.append(method.step_size)
+            torch.testing.assert_close(state["delta"], wanted[step], rtol=0, atol=1e-12)
+            state = handed(case, apgd, state, step, values[step], gradient(state["delta"]))
+            sizes.append(float(state["step_size"]))
         assert [step for step in range(steps + 1) if sizes[step + 1] < sizes[step]] == halved
         outcomes |= {step in halved for step in (22, 41, 57, 70, 80, 87, 93, 99)}
     assert outcomes == {True, False}

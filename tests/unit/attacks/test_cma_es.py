@@ -1,10 +1,13 @@
+from collections.abc import Iterator
+
 import pytest
 import torch
 from cmaes import CMA
 
-from services.attacks.cma_es import CmaEs, CmaEsMethod
-from services.attacks.problem import AttackProblem
-from tests.unit.attacks.small import Bowl, FreeRenderer, LinearRenderer, Pixels, problem
+from services.attacks.attack import State
+from services.attacks.cma_es import CmaEs
+from services.attacks.problem import AttackProblem, at_random_start, evaluate
+from tests.unit.attacks.small import Bowl, FreeRenderer, LinearRenderer, Pixels, problem, stepped
 
 LIMITS = {"a": 0.3, "b": 0.1}
 
@@ -14,7 +17,7 @@ def settings(epsilon: dict[str, float], **given: object) -> CmaEs:
     return CmaEs.model_construct(**({"epsilon": epsilon, "spread": spread, "population": None} | given))  # type: ignore[arg-type]
 
 
-def bowl(seed: int = 0) -> tuple[AttackProblem, dict[str, torch.Tensor]]:
+def bowl(seed: int = 0, **given: object) -> tuple[AttackProblem, dict[str, torch.Tensor]]:
     """A problem whose objective is the squared distance of the image from that of a known perturbation."""
     renderer = FreeRenderer()
     bottom = {
@@ -22,38 +25,40 @@ def bowl(seed: int = 0) -> tuple[AttackProblem, dict[str, torch.Tensor]]:
         "b": torch.tensor([0.05, -0.02, 0.08], dtype=torch.float64),
     }
     image = renderer.render({group: value[None] for group, value in bottom.items()})[0]
-    return problem(renderer, Bowl(image), epsilon=LIMITS, seed=seed), bottom
+    return problem(renderer, Bowl(image), epsilon=LIMITS, seed=seed, **given), bottom
+
+
+def generations(case: AttackProblem, attack: CmaEs, count: int) -> Iterator[State]:
+    """The state after each step, as the loop takes it."""
+    state = attack.init(case)
+    for step in range(count):
+        state = stepped(case, attack, state, step)
+        yield state
 
 
 def test_it_finds_the_bottom_of_a_convex_function() -> None:
     case, bottom = bowl()
-    method = CmaEsMethod(settings(LIMITS), case)
     begin = float(case.goal.advantage(case.target.logits(case.original)))
-    for step in range(120):
-        method.advance(case, case.view(method.perturbation), step)
-    assert float(method.best_objective) < 1e-6 * begin
-    for group, value in bottom.items():
-        torch.testing.assert_close(method.perturbation[group], value, rtol=0, atol=2e-3)
+    *_, state = generations(case, settings(LIMITS), 120)
+    assert float(state["objective"]) < 1e-6 * begin
+    torch.testing.assert_close(state["delta"], case.layout.flatten(bottom), rtol=0, atol=2e-3)
 
 
 def test_a_generation_asks_for_its_population_and_keeps_the_best() -> None:
     case, _ = bowl()
-    method = CmaEsMethod(settings(LIMITS, population=7), case)
-    assert method.start(case) == {"population": 7, "covariance": "full"}
-    objectives = []
-    for step in range(10):
-        queries = case.queries
-        method.advance(case, case.view(method.perturbation), step)
-        assert case.queries - queries == 7
-        objectives.append(float(method.best_objective))
-        at = case.view(method.perturbation).images
+    attack, queries, objectives = settings(LIMITS, population=7), 0, []
+    assert attack.measured(case, attack.init(case)) == {"population": 7, "covariance": "full"}
+    for state in generations(case, attack, 10):
+        queries += 1 + 7  # the loop's own look
+        assert case.counts.queries == queries
+        objectives.append(float(state["objective"]))
+        at = case.render(state["delta"][None])
         assert float(case.goal.advantage(case.target.logits(at))) == pytest.approx(objectives[-1])
     assert objectives == sorted(objectives, reverse=True)
 
 
 def test_members_stay_within_the_bounds() -> None:
     case = problem(LinearRenderer(), epsilon={"a": 0.02, "b": 0.5})  # b is between 0 and 1, and begins at 0
-    method = CmaEsMethod(settings({"a": 0.02, "b": 0.5}), case)
     seen: list[dict[str, torch.Tensor]] = []
     true = case.renderer.render
 
@@ -62,34 +67,25 @@ def test_members_stay_within_the_bounds() -> None:
         return true(parameters)
 
     case.renderer.render = render  # type: ignore[assignment, method-assign]
-    for step in range(10):
-        method.advance(case, case.view(method.perturbation), step)
+    list(generations(case, settings({"a": 0.02, "b": 0.5}), 10))
     assert max(float(one["a"].abs().max()) for one in seen) <= 0.02
     assert min(float(one["b"].min()) for one in seen) >= 0
     assert max(float(one["b"].max()) for one in seen) > 0.1
 
 
 def test_a_restart_draws_around_its_own_beginning() -> None:
-    case, _ = bowl()
-    case.restart(1)
-    begin = case.layout.flatten(case.beginning)
-    method = CmaEsMethod(settings(LIMITS, spread={"a": 1e-4, "b": 1e-4}), case)
-    for step in range(3):
-        method.advance(case, case.view(method.perturbation), step)
-        assert float((method.best - begin).abs().max()) < 2e-3 < float(begin.abs().max())
+    case = at_random_start(bowl()[0], 1, 4)
+    for state in generations(case, settings(LIMITS, spread={"a": 1e-4, "b": 1e-4}), 3):
+        assert float((state["delta"] - case.start).abs().max()) < 2e-3 < float(case.start.abs().max())
 
 
 def test_members_are_pulled_back_before_they_are_asked_about() -> None:
     """With the constraint `backtrack` the image of the best is within U, and its objective is that image's."""
-    case, _ = bowl()
-    case.backtrack = 8 / 255
-    method = CmaEsMethod(settings(LIMITS), case)
-    for step in range(5):
-        method.advance(case, case.view(method.perturbation), step)
-        moved = case.layout.unflatten((case.layout.flatten(case.initial) + method.best)[None])
-        image = case.renderer.render(moved)
+    case, _ = bowl(backtrack=8 / 255)
+    for state in generations(case, settings(LIMITS), 5):
+        image = case.renderer.render(case.layout.unflatten((case.initial + state["delta"])[None]))
         assert float((image - case.original).abs().max()) <= 8 / 255
-        assert float(case.goal.advantage(case.target.logits(image))) == pytest.approx(float(method.best_objective))
+        assert float(case.goal.advantage(case.target.logits(image))) == pytest.approx(float(state["objective"]))
 
 
 def test_the_first_generation_is_the_packages_own() -> None:
@@ -97,7 +93,6 @@ def test_the_first_generation_is_the_packages_own() -> None:
     from services.attacks.seeds import derived
 
     case, _ = bowl(seed=4)
-    method = CmaEsMethod(settings(LIMITS, population=6), case)
     spread = case.layout.spread({"a": 0.1, "b": 0.1 / 3}).numpy()
     limits = case.layout.spread(LIMITS).numpy() / spread
     import numpy as np
@@ -105,10 +100,10 @@ def test_the_first_generation_is_the_packages_own() -> None:
     package = CMA(mean=np.zeros(9), sigma=1.0, bounds=np.stack([-limits, limits], axis=1), population_size=6)
     package.reseed_rng(derived(4, "cma-es", 0) % 2**32)
     members = torch.from_numpy(np.stack([package.ask() for _ in range(6)]) * spread)
-    moved = case.layout.unflatten(case.layout.flatten(case.initial) + members)
+    moved = case.layout.unflatten(case.initial + members)
     objectives = case.goal.advantage(case.target.logits(case.renderer.render(moved)))
-    method.advance(case, case.view(method.perturbation), 0)
-    torch.testing.assert_close(method.best, members[int(objectives.argmin())])
+    [state] = generations(case, settings(LIMITS, population=6), 1)
+    torch.testing.assert_close(state["delta"], members[int(objectives.argmin())])
 
 
 @pytest.mark.parametrize("kind", ["full", "diagonal"])
@@ -121,19 +116,19 @@ def test_a_resumed_attack_goes_on_bit_for_bit(kind: str, monkeypatch: pytest.Mon
             problem(Pixels(), Bowl(torch.zeros(4, 5, 3, dtype=torch.float64)), epsilon={"image": 0.1}),
             {"image": 0.1},
         )
-    whole, rest = CmaEsMethod(settings(limits), case), CmaEsMethod(settings(limits), case)
-    assert whole.start(case)["covariance"] == kind
+    assert settings(limits).measured(case, settings(limits).init(case))["covariance"] == kind
     begin = float(case.goal.advantage(case.target.logits(case.original)))
+    whole = rest = settings(limits).init(case)
     for step in range(12):
+        whole = stepped(case, settings(limits), whole, step)
         if step == 5:
-            rest.load({name: value.clone() for name, value in whole.state().items()})
-        for method in (whole, rest) if step >= 5 else (whole,):
-            method.advance(case, case.view(method.perturbation), step)
-    assert torch.equal(whole.best, rest.best)
-    for name, value in whole.state().items():
+            rest = {name: value.clone() for name, value in whole.items()}
+        elif step > 5:
+            rest = stepped(case, settings(limits), rest, step)
+    for name, value in whole.items():
         if "funhist" not in name:  # the package's memory of former generations begins uninitialised
-            assert torch.equal(value, rest.state()[name]), name
-    assert float(whole.best_objective) < begin
+            assert torch.equal(value, rest[name]), name
+    assert float(whole["objective"]) < begin
 
 
 @pytest.mark.parametrize(("allowed", "reached"), [(1.05, 1.0), (0.5, 0.5)])
@@ -145,8 +140,6 @@ def test_without_an_epsilon_it_goes_as_far_as_the_limit_on_p_allows(allowed: flo
     image = renderer.render(bottom)[0]
     p = float((image - renderer.base).square().sum(-1).mean().sqrt())
     case = problem(renderer, Bowl(image), perceptibility=allowed * p)
-    method = CmaEsMethod(settings({"a": 0.1, "b": 0.1}), case)
-    for step in range(100):
-        method.advance(case, case.view(method.perturbation), step)
-    change = case.view(method.perturbation).images[0] - renderer.base
+    *_, state = generations(case, settings({"a": 0.1, "b": 0.1}), 100)
+    change = evaluate(case, state["delta"], 0).image[0] - renderer.base
     assert 0.95 * reached * p < float(change.square().sum(-1).mean().sqrt()) < 1.01 * reached * p

@@ -1,20 +1,19 @@
 """Attacks under a constraint that is no box: nothing outside of it is viewed, and what it fixes is never moved."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import pytest
 import torch
 from torch import Tensor
 
-from services.attacks.cma_es import CmaEs, CmaEsMethod
+from services.attacks.cma_es import CmaEs
 from services.attacks.differences import estimate, measure_half_steps
-from services.attacks.fgsm import Fgsm, FgsmMethod
+from services.attacks.fgsm import Fgsm
 from services.attacks.goal import ResolvedGoal
-from services.attacks.run import Budget, Verifier, run
-from services.attacks.zoo import Zoo, ZooMethod
+from services.attacks.zoo import Zoo
 from services.rendering.protocol import Parameters
-from tests.unit.attacks.small import CurvedRenderer, FreeRenderer, LinearTarget, problem
+from tests.unit.attacks.small import CurvedRenderer, FreeRenderer, LinearTarget, attack, problem
 
 
 @dataclass
@@ -64,8 +63,8 @@ def zoo(**settings: object) -> Zoo:
 def test_zoo_asks_for_no_image_outside() -> None:
     renderer, constraint = Seen(), Ball()
     case = problem(renderer, LinearTarget(scale=0.1), constraint=constraint)
-    case.goal = ResolvedGoal(case.goal.leave, None, 0.999)  # out of reach, so that all steps are taken
-    found = run(case, ZooMethod(zoo(), case), Verifier(case.renderer, case.target), Budget(12))
+    out_of_reach = replace(case, goal=ResolvedGoal(case.goal.leave, None, 0.999))  # so that all steps are taken
+    found = attack(out_of_reach, zoo(), steps=12)
     assert max(renderer.norms) <= 0.05 * (1 + 1e-5)
     assert max(renderer.norms) > 0.04  # the limit was reached
     assert not renderer.moved
@@ -79,7 +78,7 @@ def test_cma_es_asks_for_no_image_outside() -> None:
     settings = CmaEs.model_construct(
         population=6, spread={g: v / 3 for g, v in limits.items()}, epsilon=limits, steps=5, method="cma-es"
     )
-    run(case, CmaEsMethod(settings, case), Verifier(case.renderer, case.target), Budget(5))
+    attack(case, settings)
     assert max(renderer.norms) <= 0.05 * (1 + 1e-5)
     assert not renderer.moved
 
@@ -120,7 +119,7 @@ def test_differences_of_images_are_taken_within() -> None:
     settings = Fgsm.model_construct(
         learning_rate={"a": 0.03, "b": 0.01}, momentum=0.9, weight_decay=0.0, steps=6, method="fgsm"
     )
-    run(case, FgsmMethod(settings, case), Verifier(case.renderer, case.target), Budget(6))
+    attack(case, settings)
     assert 0.04 < max(renderer.norms) <= 0.05 * (1 + 1e-5)
     assert not renderer.moved
 
@@ -131,6 +130,6 @@ def test_backtracking_ends_within_the_constraint() -> None:
     vector = torch.full((1, 9), 0.2, dtype=torch.float64)
     [found] = case.feasible(vector)
     assert constraint.holds(case.layout.unflatten(found))
-    image = case.render(case.layout.unflatten((case.layout.flatten(case.initial) + found)[None]))
+    image = case.render(found[None])
     p = (image - case.original).square().sum(-1).mean().sqrt()
     assert 0.9e-3 < float(p) <= 1e-3

@@ -1,19 +1,21 @@
 """Renderers, networks and methods that break their protocol end a job with a reason, and never with a result."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import ClassVar, Literal
 
 import pytest
 import torch
 from safetensors.torch import load_file
 from torch import Tensor
 
-from services.attacks.problem import AttackProblem
-from services.attacks.run import Budget, Verifier, run
+from services.attacks.attack import Attack, State
+from services.attacks.problem import AttackProblem, Evaluation
+from services.attacks.run import Verifier
 from services.errors import JobFailure
 from services.rendering.protocol import Parameters
-from tests.unit.attacks.small import LinearRenderer, LinearTarget, guided, problem
+from tests.unit.attacks.small import LinearRenderer, LinearTarget, attack, guided, problem
 
 Change = Callable[[Tensor], object]
 
@@ -34,26 +36,24 @@ class BadTarget(LinearTarget):
         return self.change(super().logits(images))  # type: ignore[return-value]
 
 
-class BadMethod:
+class Bad(Attack):
     """Proposes nothing, then what `change` makes of it."""
 
-    needs_gradient = False
+    needs_gradient: ClassVar[bool] = False
+    method: Literal["bad"] = "bad"
+    steps: int = 3
+    change: ClassVar[Change] = lambda delta: delta
 
-    def __init__(self, case: AttackProblem, change: Callable[[Parameters], Parameters]) -> None:
-        self.perturbation, self._change = case.nothing(), change
+    def init(self, problem: AttackProblem) -> State:
+        return {"delta": problem.nothing}
 
-    def start(self, problem: AttackProblem) -> dict[str, object]:
-        return {}
+    def step(self, problem: AttackProblem, state: State, evaluation: Evaluation) -> State:
+        return {"delta": type(self).change(state["delta"])}  # type: ignore[dict-item]
 
-    def advance(self, problem: AttackProblem, view: object, step: int) -> int:
-        self.perturbation = self._change(self.perturbation)
-        return 0
 
-    def state(self) -> dict[str, Tensor]:
-        return {}
-
-    def load(self, state: dict[str, Tensor]) -> None:
-        raise NotImplementedError
+def bad(**parts: object) -> Bad:
+    """With other parts."""
+    return type("Bad", (Bad,), parts).model_construct()  # type: ignore[no-any-return, attr-defined]
 
 
 IMAGES: dict[str, tuple[Change, str]] = {
@@ -77,16 +77,14 @@ SCORES: dict[str, tuple[Change, str]] = {
     "NaN": (lambda x: x * torch.nan, "non-finite: the network"),
     "infinite": (lambda x: x + torch.inf, "non-finite: the network"),
 }
-PERTURBATIONS: dict[str, tuple[Callable[[Parameters], Parameters], str]] = {
-    "NaN": (lambda p: p | {"a": p["a"] * torch.nan}, "non-finite: the perturbation of group 'a'"),
-    "infinite, where bounds would hide it": (lambda p: p | {"b": p["b"] + torch.inf}, "group 'b'"),
-    "of a shape that broadcasts": (lambda p: p | {"b": p["b"][:1]}, "internal: the method's perturbation"),
-    "without a group": (lambda p: {"a": p["a"]}, "internal: the method's perturbation"),
-    "nothing": (lambda _: None, "is no tensor for each group"),  # type: ignore[arg-type,return-value]
-    "lists": (lambda p: {g: v.tolist() for g, v in p.items()}, "is no tensor for each group"),
-    "whole numbers": (lambda p: p | {"a": p["a"].long()}, "group 'a' is of torch.int64"),
-    "below its bounds": (lambda p: p | {"b": p["b"] - 0.001}, "left the bounds of group 'b' by up to 0.001"),
-    "above its bounds": (lambda p: p | {"b": p["b"] + 3}, "left the bounds of group 'b' by up to 2"),
+PERTURBATIONS: dict[str, tuple[Change, str]] = {
+    "NaN": (lambda d: d.index_fill(0, torch.tensor([0]), torch.nan), "non-finite: the perturbation of group 'a'"),
+    "infinite, where bounds would hide it": (lambda d: d.index_fill(0, torch.tensor([7]), torch.inf), "group 'b'"),
+    "of a shape that broadcasts": (lambda d: d[:1], "internal: the attack's perturbation is torch.float64 of [1]"),
+    "without a group": (lambda d: d[:6], "floating-point [9] is due"),
+    "whole numbers": (lambda d: d.long(), "is torch.int64 of [9]"),
+    "below its bounds": (lambda d: d - 0.001, "left the bounds of group 'b' by up to 0.001"),
+    "above its bounds": (lambda d: d + 3, "left the bounds of group 'b' by up to 2"),
 }
 
 
@@ -100,17 +98,19 @@ def missing(*_: object) -> object:
 
 RAISED = r"raised KeyError: 'weights\nof\udc80 mine'"
 METHODS: dict[str, tuple[dict[str, object], str]] = {
-    "start returns nothing": ({"start": lambda _: None}, "start returned a NoneType; a dict of settings is due"),
-    "start returns NaN": ({"start": lambda _: {"noise": torch.nan}}, "the method measured are not JSON"),
-    "start returns a tensor": ({"start": lambda _: {"noise": torch.ones(1)}}, "the method measured are not JSON"),
-    "start raises": ({"start": broken}, f"method 'BadMethod' {RAISED}"),
-    "advance returns nothing": ({"advance": lambda *_: None}, "advance returned None; a count from 0 is due"),
-    "advance returns words": ({"advance": lambda *_: "0" * 999}, "advance returned '0000"),
-    "advance counts below 0": ({"advance": lambda *_: -5}, "advance returned -5"),
-    "advance raises": ({"advance": broken}, f"method 'BadMethod' {RAISED}"),
-    "state is nothing": ({"state": lambda: None}, "state is no dict of tensors"),
-    "state has a number": ({"state": lambda: {"best": 3.0}}, "state is no dict of tensors"),
-    "state raises": ({"state": broken}, f"method 'BadMethod' {RAISED}"),
+    "measured returns nothing": ({"measured": lambda *_: None}, "`measured` returned a NoneType; a dict is due"),
+    "measured returns NaN": ({"measured": lambda *_: {"noise": torch.nan}}, "the attack measured are not JSON"),
+    "measured returns a tensor": (
+        {"measured": lambda *_: {"noise": torch.ones(1)}},
+        "the attack measured are not JSON",
+    ),
+    "init raises": ({"init": broken}, f"method 'bad' {RAISED}"),
+    "init returns nothing": ({"init": lambda *_: None}, "state is no dict of tensors"),
+    "init returns a number": ({"init": lambda *_: {"best": 3.0}}, "state is no dict of tensors"),
+    "init returns no perturbation": ({"init": lambda *_: {"best": torch.ones(1)}}, "state has no `delta`"),
+    "step raises": ({"step": broken}, f"method 'bad' {RAISED}"),
+    "step returns nothing": ({"step": lambda *_: None}, "state is no dict of tensors"),
+    "step returns lists": ({"step": lambda *_: {"delta": [0.0] * 9}}, "state is no dict of tensors"),
 }
 
 
@@ -118,10 +118,8 @@ METHODS: dict[str, tuple[dict[str, object], str]] = {
 def test_images(name: str) -> None:
     change, words = IMAGES[name]
     case, bad = problem(), BadRenderer(change=change)
-    start = {group: value[None] for group, value in case.initial.items()}
-    case.renderer = bad  # type: ignore[assignment]
     with pytest.raises(JobFailure) as inside:
-        case.render(start)
+        replace(case, renderer=bad).render(case.nothing[None])  # type: ignore[arg-type]
     with pytest.raises(JobFailure) as judged:
         Verifier(bad, case.target).render({})  # type: ignore[arg-type]
     assert words in str(inside.value)
@@ -132,9 +130,8 @@ def test_images(name: str) -> None:
 def test_scores(name: str) -> None:
     change, words = SCORES[name]
     case, bad = problem(), BadTarget(change=change)
-    case.target = bad  # type: ignore[assignment]
     with pytest.raises(JobFailure) as inside:
-        case.logits(case.original)
+        replace(case, target=bad).scores(case.original)  # type: ignore[arg-type]
     with pytest.raises(JobFailure) as judged:
         Verifier(case.renderer, bad).logits(torch.zeros(4, 5, 3, dtype=torch.uint8))  # type: ignore[arg-type]
     assert words in str(inside.value)
@@ -146,7 +143,7 @@ def test_perturbations(name: str) -> None:
     change, words = PERTURBATIONS[name]
     case = problem()
     with pytest.raises(JobFailure) as failed:
-        run(case, BadMethod(case, change), Verifier(case.renderer, case.target), Budget(3))
+        attack(case, bad(change=staticmethod(change)))
     assert words in str(failed.value)
 
 
@@ -154,38 +151,34 @@ def test_perturbations(name: str) -> None:
 def test_methods(name: str) -> None:
     parts, words = METHODS[name]
     case = problem(target=LinearTarget(scale=1e-3))
-    method = BadMethod(case, lambda p: p)
-    vars(method).update(parts)
     with pytest.raises(JobFailure) as failed:
-        run(case, method, Verifier(case.renderer, case.target), Budget(3))
+        attack(case, bad(**parts))
     assert words in str(failed.value)
 
 
 def test_a_perturbation_at_its_bounds_and_one_rounded_past_them_are_allowed() -> None:
     case = problem(target=LinearTarget(scale=1e-3))
-    method = BadMethod(case, lambda p: p | {"b": torch.tensor([0.0, -1e-9, 1 + 1e-7], dtype=torch.float64)})
-    assert run(case, method, Verifier(case.renderer, case.target), Budget(2)).stopped == "steps"
+    edge = torch.tensor([0.0] * 7 + [-1e-9, 1 + 1e-7], dtype=torch.float64)
+    assert attack(case, bad(change=staticmethod(lambda _: edge))).stopped == "steps"
 
 
 def test_an_error_says_whose_it_is_and_memory_stays_memory() -> None:
-    case = problem()
-    start = {group: value[None] for group, value in case.initial.items()}
+    whole = problem()
     for renderer, target in (
         (BadRenderer(change=broken), LinearTarget()),
         (LinearRenderer(), BadTarget(change=broken)),
     ):
-        case.renderer, case.target = renderer, target  # type: ignore[assignment]
+        case = replace(whole, renderer=renderer, target=target)  # type: ignore[arg-type]
         whose = f"renderer 'torch' {RAISED}" if target.__class__ is LinearTarget else f"target 'linear' {RAISED}"
         for call in (
-            lambda: case.logits(case.render(start)),
-            lambda: Verifier(case.renderer, case.target).logits(Verifier(case.renderer, case.target).image({})),
+            lambda case: case.scores(case.render(case.nothing[None])),
+            lambda case: Verifier.of(case).logits(Verifier.of(case).image({})),
         ):
             with pytest.raises(JobFailure) as failed:
-                call()
+                call(case)
             assert whose in str(failed.value)
-    case.target = BadTarget(change=missing)  # type: ignore[assignment]
     with pytest.raises(MemoryError):
-        case.logits(case.original)
+        replace(whole, target=BadTarget(change=missing)).scores(whole.original)  # type: ignore[arg-type]
 
 
 def test_scores_and_images_without_a_graph() -> None:
@@ -195,7 +188,7 @@ def test_scores_and_images_without_a_graph() -> None:
     ):
         case = problem(renderer, target)
         with pytest.raises(JobFailure) as failed:
-            guided(case, case.nothing())
+            guided(case, case.nothing)
         assert whose in str(failed.value)
 
 
@@ -203,8 +196,7 @@ def test_a_state_whose_tensors_share_memory_is_saved(tmp_path: Path, monkeypatch
     """It failed in jobs of more than two seconds, the time of the first checkpoint."""
     monkeypatch.setattr("services.attacks.run.EVERY", -1.0)
     case = problem(target=LinearTarget(scale=1e-3))
-    method = BadMethod(case, lambda p: p)
     both = torch.arange(4.0).requires_grad_()
-    vars(method)["state"] = lambda: {"one": both, "two": both, "part": both[1:]}
-    run(case, method, Verifier(case.renderer, case.target), Budget(2), checkpoint_path=tmp_path / "checkpoint")
-    assert load_file(tmp_path / "checkpoint")["method.part"].tolist() == [1, 2, 3]
+    state = {"delta": case.nothing, "one": both, "two": both, "part": both[1:]}
+    attack(case, bad(init=lambda *_: state, step=lambda *_: state), tmp_path / "checkpoint")
+    assert load_file(tmp_path / "checkpoint")["state.part"].tolist() == [1, 2, 3]

@@ -13,14 +13,14 @@ def gradient(case: AttackProblem) -> torch.Tensor:
     """Of the objective at the start, by autograd: the reference no difference is involved in."""
     where = case.layout
     flat = torch.zeros(where.total, dtype=torch.float64, requires_grad=True)
-    images = case.renderer.render(where.unflatten((where.flatten(case.initial) + flat)[None]))
+    images = case.renderer.render(where.unflatten((case.initial + flat)[None]))
     value = case.goal.advantage(case.target.logits(images))
-    value = value + case.weight * (images - case.original).square().sum()
+    value = value + case.distance_weight * (images - case.original).square().sum()
     return torch.autograd.grad(value.sum(), flat)[0]
 
 
 def test_gradients_agree_with_autograd() -> None:
-    case = problem(weight=0.3)
+    case = problem(distance_weight=0.3)
     found = estimate(case, torch.zeros(9).double(), ALL, torch.full((9,), 1e-5).double(), noise=0.0)
     # group b starts on its lower bound: the difference there is one-sided, of first order in δ only
     torch.testing.assert_close(found.gradients[:6], gradient(case)[:6], rtol=1e-6, atol=1e-9)
@@ -30,7 +30,7 @@ def test_gradients_agree_with_autograd() -> None:
 
 def test_a_coordinate_does_not_hear_of_the_others_in_its_batch() -> None:
     """The classic bug sums a batch inside the loss; the λ term would then scale with the batch."""
-    case = problem(weight=50.0)
+    case = problem(distance_weight=50.0)
     at = 0.05 * torch.ones(9).double()
     deltas = torch.full((9,), 1e-3).double()
     together = estimate(case, at, ALL, deltas, 0.0).gradients
@@ -74,7 +74,7 @@ def test_steps_so_large_that_they_cancel_the_weight_are_not_taken() -> None:
         def render(self, parameters: Mapping[str, torch.Tensor]) -> torch.Tensor:
             return 0.5 + 0.5 * torch.tanh(100 * (super().render(parameters) - self.base))
 
-    case = problem(Saturating(), weight=1.0)
+    case = problem(Saturating(), distance_weight=1.0)
     reach = torch.full((9,), 0.02).double()
     chosen = measure_half_steps(case, reach, 1e-12)
     assert chosen["a"] <= 3e-3
@@ -102,13 +102,12 @@ def test_the_layout_is_its_own_inverse() -> None:
 def test_the_objective_is_that_of_the_truncated_image() -> None:
     """As the loop shows it to the network: differences of values that U holds back are zero."""
     limit, weight = 0.01, 0.3
-    case = problem(FreeRenderer(), truncation=limit, weight=weight)
+    case = problem(FreeRenderer(), truncation=limit, distance_weight=weight)
     at, deltas = 0.05 * torch.ones(9).double(), torch.full((9,), 2e-2).double()
     found = estimate(case, at, ALL, deltas, noise=0.0).gradients
 
     def value(flat: torch.Tensor) -> float:
-        start = case.layout.flatten(case.initial)
-        images = case.renderer.render(case.layout.unflatten((start + flat)[None]))
+        images = case.renderer.render(case.layout.unflatten((case.initial + flat)[None]))
         change = (images - case.original).clamp(-limit, limit)
         advantage = case.goal.advantage(case.target.logits(case.original + change))
         return float(advantage + weight * change.square().sum())

@@ -1,43 +1,36 @@
 """Every registered attack lowers its own objective through the loop, and ends in the same bits when it is resumed."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
 
-from services.attacks.attack import ATTACKS, AttackSettings
+from services.attacks.attack import ATTACKS, Attack
 from services.attacks.problem import AttackProblem
-from services.attacks.run import AttackState, Budget, Verifier, run
 from services.errors import Cancelled
-from tests.unit.attacks.small import Ahead, Pixels, guided, problem
+from tests.unit.attacks.small import Ahead, Pixels, attack, guided, problem, stepped
 
 pytestmark = pytest.mark.slow
 
 LIMIT = {"image": 6 / 255}
 BUILT_IN = sorted(
-    name
-    for name, one in ATTACKS.items()
-    if one.settings.__module__.startswith("services.") and name != "natural-gradient"
+    name for name, one in ATTACKS.items() if one.__module__.startswith("services.") and name != "natural-gradient"
 )
 """But for the one that works on no pixels; test_natural_gradient.py has it."""
 STEPS = 25
 
 
-def settings(name: str) -> AttackSettings:
+def settings(name: str) -> Attack:
     rate = {"learning_rate": {"image": 2e-3}} if name in ("fgsm", "mi-fgsm", "zoo") else {}
     given: dict[str, Any] = {"method": name, "renderer": "image", "epsilon": LIMIT, "steps": STEPS} | rate
-    return ATTACKS[name].settings.model_validate(given)
+    return ATTACKS[name].model_validate(given)
 
 
 def build(name: str) -> AttackProblem:
     renderer = Pixels(dtype=torch.float32)
     return problem(renderer, Ahead(renderer), loss=settings(name).objective, epsilon=LIMIT)
-
-
-def attack(name: str, case: AttackProblem, path: Path | None = None) -> AttackState:
-    method = ATTACKS[name].method(settings(name), case)
-    return run(case, method, Verifier(case.renderer, case.target), Budget(STEPS), checkpoint_path=path)
 
 
 def test_all_are_here() -> None:
@@ -48,16 +41,17 @@ def test_all_are_here() -> None:
 def test_it_lowers_its_objective(name: str) -> None:
     """By at least a third of all that the limit allows, which for a linear network is known."""
     case = build(name)
-    found = attack(name, case)
+    found = attack(case, settings(name))
+    assert found.best is not None
     assert found.stopped == "steps"
     rows = case.target.weights  # type: ignore[attr-defined]
     towards = [
         0.02 * (rows[:, case.goal.leave[0]] - rows[:, k]).abs().sum() for k in range(4) if k != case.goal.leave[0]
     ]
     most = LIMIT["image"] * float(max(towards))
-    fall = found.trace[0].advantage - found.trace[found.stored_step].advantage
+    fall = found.trace[0].advantage - found.trace[found.best.step].advantage
     assert fall > most / 3
-    assert found.trace[found.stored_step].advantage == min(row.advantage for row in found.trace)
+    assert found.trace[found.best.step].advantage == min(row.advantage for row in found.trace)
     assert float(found.stored["image"].abs().max()) <= LIMIT["image"] + 1e-6
 
 
@@ -65,15 +59,12 @@ def test_it_lowers_its_objective(name: str) -> None:
 def test_it_goes_on_from_the_perturbation_that_was_evaluated(name: str) -> None:
     """Which backtracking may have pulled back from the one that the method asked for."""
     case = build(name)
-    method = ATTACKS[name].method(settings(name), case)
-    method.start(case)
-    method.advance(case, guided(case, method.perturbation), 0)
-    asked = method.perturbation["image"].detach().clone()
+    state = stepped(case, settings(name), settings(name).init(case), 0)
+    asked = state["delta"]
     evaluated = -0.7 * LIMIT["image"] * asked.sign()
-    method.advance(case, guided(case, {"image": evaluated}), 1)
-    found = method.perturbation["image"].detach()
+    found = settings(name).step(case, state, guided(case, evaluated, 1))["delta"]
     step = 2e-3 if name != "spsa" else LIMIT["image"] / 16
-    moved = case.original[0] + evaluated
+    moved = case.initial + evaluated
     within = (moved > LIMIT["image"]) & (moved < 1 - LIMIT["image"])  # elsewhere the bounds of a pixel move it too
     assert float((found - evaluated)[within].abs().max()) < 2.1 * step
     assert float((found - asked)[within].abs().max()) > 4 * step
@@ -88,19 +79,17 @@ def test_resumed_it_ends_in_the_same_bits(name: str, tmp_path: Path, monkeypatch
         nonlocal calls
         calls += 1
 
-    case.interrupt = count
-    whole, case = attack(name, case), build(name)
+    whole = attack(replace(case, interrupt=count), settings(name))
     left = iter(range(calls // 2))
 
     def die() -> None:
         if next(left, None) is None:
             raise Cancelled
 
-    case.interrupt = die
     with pytest.raises(Cancelled):
-        attack(name, case, path)
+        attack(replace(build(name), interrupt=die), settings(name), path)
     assert path.exists()
-    resumed = attack(name, build(name), path)
+    resumed = attack(build(name), settings(name), path)
     assert torch.equal(whole.stored["image"], resumed.stored["image"])
     assert [row.model_copy(update={"seconds": 0}) for row in whole.trace] == [
         row.model_copy(update={"seconds": 0}) for row in resumed.trace

@@ -5,19 +5,19 @@ from typing import Any
 import pytest
 import torch
 
-from services.attacks.fgsm import Fgsm, FgsmMethod
+from services.attacks.fgsm import Fgsm
 from services.attacks.limits import (
     BACKTRACK_MARGIN,
     P_MARGIN,
     SLACK,
-    perturbation_bounds,
+    Limits,
+    box,
     pulled_back,
     random_start,
     reached,
 )
-from services.attacks.run import Budget, Verifier, run
 from services.errors import InvalidRequest
-from tests.unit.attacks.small import Ahead, FreeRenderer, LinearRenderer, problem
+from tests.unit.attacks.small import Ahead, FreeRenderer, LinearRenderer, attack, problem
 
 INITIAL = {"a": torch.tensor([0.5, 0.9], dtype=torch.float64), "b": torch.tensor([0.0], dtype=torch.float64)}
 FREE = (torch.tensor(-torch.inf), torch.tensor(torch.inf))
@@ -25,29 +25,28 @@ PHYSICAL = {"a": (torch.tensor(0.0), torch.tensor(1.0)), "b": FREE}
 
 
 def test_the_box_is_what_all_limits_allow() -> None:
-    assert set(perturbation_bounds(INITIAL, PHYSICAL, {}, {})) == {"a"}  # b has no limit
-    both = perturbation_bounds(INITIAL, PHYSICAL, {"a": (0.45, 2.0), "b": (-1.0, 3.0)}, {"a": 0.3, "b": 2.0})
-    low, high = both["a"]
-    torch.testing.assert_close(low, torch.tensor([-0.05, -0.3], dtype=torch.float64))  # the request's, then ε
-    torch.testing.assert_close(high, torch.tensor([0.3, 0.1], dtype=torch.float64))  # ε, then the physical bound
-    assert [side.tolist() for side in both["b"]] == [[-1.0], [2.0]]
+    physical = box(INITIAL, PHYSICAL, {}, {})
+    assert [side[2].item() for side in physical] == [-torch.inf, torch.inf]  # b has no limit
+    low, high = box(INITIAL, PHYSICAL, {"a": (0.45, 2.0), "b": (-1.0, 3.0)}, {"a": 0.3, "b": 2.0})
+    torch.testing.assert_close(low, torch.tensor([-0.05, -0.3, -1.0], dtype=torch.float64))  # the request's, then ε
+    torch.testing.assert_close(high, torch.tensor([0.3, 0.1, 2.0], dtype=torch.float64))  # ε, then the physical bound
 
 
 def test_bounds_that_exclude_the_start_are_refused_by_the_field() -> None:
     with pytest.raises(InvalidRequest, match=r"exclude the start: .* value of 0.9, not within 0.2 to 0.8") as error:
-        perturbation_bounds(INITIAL, PHYSICAL, {"a": (0.2, 0.8)}, {})
+        box(INITIAL, PHYSICAL, {"a": (0.2, 0.8)}, {})
     assert error.value.field == "attack.bounds.a"
 
 
 def test_a_random_start_fills_the_box_and_is_the_seeds() -> None:
     initial = {"a": torch.zeros(2000, dtype=torch.float64)}
-    bounds = {"a": (torch.full((2000,), -0.1, dtype=torch.float64), torch.full((2000,), 0.3, dtype=torch.float64))}
-    start = random_start(initial, bounds, seed=3, restart=1)["a"]
+    limits = Limits.of(initial, {"a": (torch.tensor(-0.1), torch.tensor(0.3))})
+    start = random_start(limits, seed=3, restart=1)
     assert -0.1 <= float(start.min()) < -0.09
     assert 0.29 < float(start.max()) <= 0.3
     assert float(start.mean()) == pytest.approx(0.1, abs=4 * 0.4 / (12 * 2000) ** 0.5)  # four standard errors
-    assert torch.equal(start, random_start(initial, bounds, seed=3, restart=1)["a"])
-    assert not torch.equal(start, random_start(initial, bounds, seed=3, restart=2)["a"])
+    assert torch.equal(start, random_start(limits, seed=3, restart=1))
+    assert not torch.equal(start, random_start(limits, seed=3, restart=2))
 
 
 @pytest.mark.parametrize("power", [0.5, 1.0, 2.0])
@@ -90,10 +89,11 @@ def test_an_attack_that_backtracks_keeps_image_and_scene_one() -> None:
     beyond = {}
     for name in ("truncation", "backtrack"):
         case = problem(FreeRenderer(), hard, **{name: limit})
-        found = run(case, FgsmMethod(rates, case), Verifier(case.renderer, hard), Budget(12))
-        moved = {group: (case.initial[group] + value)[None] for group, value in found.stored.items()}
+        found = attack(case, rates, steps=12)
+        assert found.best is not None
+        moved = case.layout.unflatten((case.initial + found.best.delta)[None])
         beyond[name] = float((case.renderer.render(moved) - case.original).abs().max()) - limit
-        assert found.trace[-1].truncated > 0 if name == "truncation" else not found.ever.any()
+        assert found.trace[-1].truncated > 0 if name == "truncation" else not found.ever_truncated.any()
     assert beyond["truncation"] > limit
     assert -2 * BACKTRACK_MARGIN - 0.1 * limit < beyond["backtrack"] <= -BACKTRACK_MARGIN + 1e-6
 
@@ -104,8 +104,9 @@ def test_an_attack_that_backtracks_keeps_p_within_its_limit() -> None:
     rates = Fgsm.model_construct(learning_rate={"a": 0.05, "b": 0.05}, momentum=0.9, weight_decay=0.0)
     hard = Ahead(FreeRenderer())
     case = problem(FreeRenderer(), hard, perceptibility=limit)
-    found = run(case, FgsmMethod(rates, case), Verifier(case.renderer, hard), Budget(12))
-    moved = {group: (case.initial[group] + value)[None] for group, value in found.stored.items()}
+    found = attack(case, rates, steps=12)
+    assert found.best is not None
+    moved = case.layout.unflatten((case.initial + found.best.delta)[None])
     change = (case.renderer.render(moved) - case.original)[0]
     p = (sum(float(value) ** 2 for value in change.flatten()) / (change.shape[0] * change.shape[1])) ** 0.5
     assert 0.9 * limit < p <= (1 - P_MARGIN) * limit + 1e-9
@@ -124,6 +125,6 @@ def test_both_limits_of_backtracking_hold() -> None:
 def test_every_method_stays_within_epsilon() -> None:
     case = problem(LinearRenderer(), Ahead(LinearRenderer()), epsilon={"a": 0.015, "b": 0.01})
     rates = Fgsm.model_construct(learning_rate={"a": 0.01, "b": 0.01}, momentum=0.0, weight_decay=0.0)
-    found = run(case, FgsmMethod(rates, case), Verifier(case.renderer, case.target), Budget(4))
+    found = attack(case, rates, steps=4)
     assert float(found.stored["a"].abs().max()) == pytest.approx(0.015)
     assert float(found.stored["b"].abs().max()) <= 0.01

@@ -5,7 +5,7 @@ succeed with it. Each of these is compared with a reference that shares no code 
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,20 +13,20 @@ import pytest
 import torch
 from torch import Tensor
 
-from services.attacks.fgsm import Fgsm, FgsmMethod
-from services.attacks.image_differences import (
-    CANDIDATES,
+from services.attacks.differences import (
+    IMAGE_CANDIDATES,
     PLACES,
     PROBES,
     ImageDifferences,
-    measure_half_steps,
+    measure_image_half_steps,
     projected,
 )
-from services.attacks.problem import AttackProblem, gradients
-from services.attacks.run import AttackState, Budget, Verifier, run
+from services.attacks.fgsm import Fgsm
+from services.attacks.problem import AttackProblem, Evaluation, differentiate, evaluate
+from services.attacks.run import AttackRun
 from services.errors import Cancelled, JobFailure
 from services.rendering.protocol import InactiveCoordinate, Parameters
-from tests.unit.attacks.small import CurvedRenderer, LinearTarget, OpaqueCurvedRenderer, problem
+from tests.unit.attacks.small import CurvedRenderer, LinearTarget, OpaqueCurvedRenderer, attack, problem
 
 FGSM = Fgsm.model_construct(learning_rate={"a": 0.01, "b": 0.01}, momentum=0.9, weight_decay=1e-4)
 
@@ -46,9 +46,11 @@ HALF_STEPS = {"a": 1e-4, "b": 1e-4}
 
 
 def opaque(seed: int = 0, **settings: object) -> AttackProblem:
-    case = problem(OpaqueCurvedRenderer(seed=seed), **settings)
-    case.differences = ImageDifferences(case, HALF_STEPS)
-    return case
+    return differenced(problem(OpaqueCurvedRenderer(seed=seed), **settings), HALF_STEPS)
+
+
+def differenced(case: AttackProblem, half_steps: dict[str, float]) -> AttackProblem:
+    return replace(case, differences=ImageDifferences.at(case, half_steps))
 
 
 def place(seed: int) -> Parameters:
@@ -62,8 +64,15 @@ def place(seed: int) -> Parameters:
 
 def found(case: AttackProblem, at: Parameters) -> Parameters:
     """The gradient on the float image."""
-    view = case.view(at, gradient=True)
-    return gradients(case, view, case.logits(view.images))
+    gradient = differentiate(case, on_float(case, at)).gradient
+    assert gradient is not None
+    return case.layout.unflatten(gradient)
+
+
+def on_float(case: AttackProblem, at: Parameters) -> Evaluation:
+    """The evaluation, with the scores of the image that is not rounded."""
+    look = evaluate(case, case.layout.flatten(at), 0, gradient=True)
+    return replace(look, scores=case.scores(look.image)[0])
 
 
 def autograd(seed: int, at: Parameters, truncation: float | None = None, weight: float = 0.0) -> Parameters:
@@ -100,8 +109,8 @@ def test_every_gradient_has_the_scale_and_direction_of_autograd() -> None:
 def test_truncated_values_pass_no_gradient_and_the_weight_is_part_of_it(
     truncation: float | None, weight: float
 ) -> None:
-    case, at = opaque(truncation=truncation, weight=weight), place(0)
-    assert (int(case.view(at).truncated.sum()) > 3) == (truncation is not None)
+    case, at = opaque(truncation=truncation, distance_weight=weight), place(0)
+    assert (int(evaluate(case, case.layout.flatten(at), 0).truncated.sum()) > 3) == (truncation is not None)
     assert_same(found(case, at), autograd(0, at, truncation, weight))
 
 
@@ -116,7 +125,7 @@ def test_a_difference_at_a_bound_is_divided_by_what_remains_of_it() -> None:
 
 @pytest.mark.parametrize("chunk", [1, 2, 5, 28])
 def test_batches_of_images_of_any_size_give_the_same(chunk: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("services.attacks.differences.MAX_BATCH", chunk)
+    monkeypatch.setattr("services.attacks.problem.MAX_BATCH", chunk)
     case, at = opaque(), place(0)
     sizes, true = [], case.renderer.render
 
@@ -135,15 +144,15 @@ def test_a_step_takes_one_query_and_two_images_per_coordinate() -> None:
     target = CountingTarget(scale=1e-3)
     case = problem(OpaqueCurvedRenderer(), target)
     before = target.images
-    state = run(case, FgsmMethod(FGSM, case), Verifier(case.renderer, target), Budget(5))
+    state = attack(case, FGSM, steps=5)
     assert state.stopped == "steps"
-    assert target.images - before == state.trace[-1].queries == case.queries
+    assert target.images - before == state.trace[-1].queries == case.counts.queries
     first, second = state.trace[0], state.trace[1]
     assert second.queries - first.queries == 1
     assert second.renders - first.renders == 1 + 2 * 9
     assert first.queries == 2  # the half-steps are measured with one gradient of the network
     probes = PLACES * (PROBES + 3)  # of group a, which has more, and of all 3 of b
-    assert first.renders == 2 + 2 * len(CANDIDATES) * probes
+    assert first.renders == 2 + 2 * len(IMAGE_CANDIDATES) * probes
 
 
 def test_it_fools_as_autograd_does() -> None:
@@ -151,7 +160,7 @@ def test_it_fools_as_autograd_does() -> None:
     states = []
     for renderer in (CurvedRenderer(), OpaqueCurvedRenderer()):
         case = problem(renderer)
-        states.append(run(case, FgsmMethod(FGSM, case), Verifier(renderer, case.target), Budget(60)))
+        states.append(attack(case, FGSM, steps=60))
     assert [state.stopped for state in states] == ["verified", "verified"]
     assert states[0].step == states[1].step
     for group, value in states[0].stored.items():
@@ -172,14 +181,13 @@ def test_differences_below_the_rounding_of_the_image_are_zero() -> None:
 def test_half_steps_are_measured_and_recorded() -> None:
     """Too small a step drowns in float32's rounding, too large a one in the curve of the sine."""
     case = problem(OpaqueCurvedRenderer(torch.float32), LinearTarget(dtype=torch.float32))
-    chosen = measure_half_steps(case)
+    chosen = measure_image_half_steps(case)
     assert set(chosen) == {"a", "b"}
     assert all(1e-4 < value < 1e-1 for value in chosen.values())
-    assert case.queries == 1
-    case.differences = ImageDifferences(case, chosen)
-    ours = found(case, {g: v.float() for g, v in place(0).items()})
+    assert case.counts.queries == 1
+    ours = found(differenced(case, chosen), {g: v.float() for g, v in place(0).items()})
     assert_same({g: v.double() for g, v in ours.items()}, autograd(0, place(0)), 5e-3)
-    state = run(case, FgsmMethod(FGSM, case), Verifier(case.renderer, case.target), Budget(1))
+    state = attack(case, FGSM, steps=1)
     assert state.settings == {"image_differences": {"delta": chosen, "skipped": []}}
 
 
@@ -187,7 +195,7 @@ def test_each_group_has_the_half_step_of_its_own_coordinates() -> None:
     """Group b bends the image forty times as fast as group a, and takes smaller steps for it."""
     renderer = OpaqueCurvedRenderer(torch.float32)
     renderer.weights["b"] *= 40
-    chosen = measure_half_steps(problem(renderer, LinearTarget(dtype=torch.float32)))
+    chosen = measure_image_half_steps(problem(renderer, LinearTarget(dtype=torch.float32)))
     assert chosen["b"] < chosen["a"]
 
 
@@ -197,9 +205,9 @@ def test_a_coordinate_that_was_inactive_at_the_start_counts_where_it_is_active()
             away = float(parameters["a"].abs().max()) > 0.01
             return () if away else (InactiveCoordinate("b", 1, "b 1", "hidden"),)
 
-    case, at = problem(HiddenAtFirst()), place(0)
-    case.differences = ImageDifferences(case, HALF_STEPS)
-    assert [one.name for one in case.differences.skipped] == ["b 1"]
+    case, at = differenced(problem(HiddenAtFirst()), HALF_STEPS), place(0)
+    assert case.differences is not None
+    assert case.differences.settings(case)["skipped"] == [{"coordinate": "b 1", "why": "hidden"}]
     start = found(case, {"a": torch.zeros(2, 3).double(), "b": at["b"]})
     assert float(start["b"][1]) == 0 != float(start["b"][0])
     assert_same(found(case, at), autograd(0, at))
@@ -209,20 +217,19 @@ def test_a_resumed_attack_ends_in_the_same_result(tmp_path: Path, monkeypatch: p
     monkeypatch.setattr("services.attacks.run.EVERY", -1.0)  # after every step
     hard = LinearTarget(scale=1e-3)
 
-    def attack(path: Path | None, interrupt: object = lambda: None) -> AttackState:
-        case = problem(OpaqueCurvedRenderer(), hard, truncation=0.01, interrupt=interrupt)
-        return run(case, FgsmMethod(FGSM, case), Verifier(case.renderer, hard), Budget(6), checkpoint_path=path)
+    def attacked(path: Path | None, interrupt: object = lambda: None) -> AttackRun:
+        return attack(problem(OpaqueCurvedRenderer(), hard, truncation=0.01, interrupt=interrupt), FGSM, path, steps=6)
 
-    whole, left = attack(None), iter(range(15))
+    whole, left = attacked(None), iter(range(15))
 
     def die() -> None:
         if next(left, None) is None:  # at a rendering of the differences, inside the backward pass
             raise Cancelled
 
     with pytest.raises(Cancelled):
-        attack(tmp_path / "checkpoint", die)
+        attacked(tmp_path / "checkpoint", die)
     assert (tmp_path / "checkpoint").exists()
-    resumed = attack(tmp_path / "checkpoint")
+    resumed = attacked(tmp_path / "checkpoint")
     assert whole.settings == resumed.settings
     ours, theirs = ([row.model_copy(update={"seconds": 0}) for row in one.trace] for one in (whole, resumed))
     assert ours == theirs
@@ -232,11 +239,10 @@ def test_a_resumed_attack_ends_in_the_same_result(tmp_path: Path, monkeypatch: p
 
 def test_an_image_that_is_not_finite_ends_the_job_from_inside_the_backward_pass() -> None:
     case, at = opaque(), place(0)
-    view = case.view(at, gradient=True)
-    logits = case.logits(view.images)
+    look = on_float(case, at)
     case.renderer.base[0, 0, 0] = torch.nan  # type: ignore[attr-defined]
     with pytest.raises(JobFailure, match="non-finite: the renderer"):
-        gradients(case, view, logits)
+        differentiate(case, look)
 
 
 def test_a_network_without_gradients_is_named() -> None:
@@ -246,4 +252,4 @@ def test_a_network_without_gradients_is_named() -> None:
 
     case = problem(OpaqueCurvedRenderer(), Detached())
     with pytest.raises(JobFailure, match="target 'linear' returned scores without a graph"):
-        run(case, FgsmMethod(FGSM, case), Verifier(case.renderer, case.target), Budget(1))
+        attack(case, FGSM, steps=1)

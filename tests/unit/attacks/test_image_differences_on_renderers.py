@@ -8,9 +8,9 @@ import torch
 from torch import Tensor
 from torch.nn.functional import cosine_similarity
 
+from services.attacks.differences import ImageDifferences, measure_image_half_steps
 from services.attacks.goal import ResolvedGoal
-from services.attacks.image_differences import ImageDifferences, measure_half_steps
-from services.attacks.problem import AttackProblem, gradients
+from services.attacks.problem import AttackProblem, differentiate, evaluate
 from services.rendering.opengl.gbuffer import rasterise
 from services.rendering.protocol import Parameters, Renderer
 from services.rendering.pyrender_renderer.declaration import PYRENDER
@@ -91,21 +91,25 @@ class Few:
 def problem(renderer: Renderer, target: Target, groups: tuple[str, ...] = ()) -> AttackProblem:
     with torch.no_grad():
         first = int(target.logits(renderer.render({g: v[None] for g, v in renderer.initial().items()})).argmax())
-    return AttackProblem(renderer, target, ResolvedGoal((first,), None), groups or renderer.groups)
+    return AttackProblem.of(renderer, target, ResolvedGoal((first,), None), groups or renderer.groups)
 
 
-def place(case: AttackProblem, seed: int, size: float) -> Parameters:
+def place(case: AttackProblem, seed: int, size: float) -> Tensor:
     random = torch.Generator().manual_seed(seed)
-    return {
-        group: size * (torch.rand(value.shape, generator=random, dtype=value.dtype) - 0.5)
-        for group, value in case.nothing().items()
-    }
+    start, shapes = case.initial, case.layout.shapes.values()
+    return torch.cat([size * (torch.rand(s, generator=random, dtype=start.dtype) - 0.5).flatten() for s in shapes])
 
 
-def found(case: AttackProblem, at: Parameters) -> Tensor:
-    """The gradient on the float image, as a vector."""
-    view = case.view(at, gradient=True)
-    return case.layout.flatten(gradients(case, view, case.logits(view.images))).double()
+def found(case: AttackProblem, at: Tensor) -> Tensor:
+    """The gradient on the float image."""
+    look = evaluate(case, at, 0, gradient=True)
+    gradient = differentiate(case, replace(look, scores=case.scores(look.image)[0])).gradient
+    assert gradient is not None
+    return gradient.double()
+
+
+def differenced(case: AttackProblem, half_steps: dict[str, float]) -> AttackProblem:
+    return replace(case, differences=ImageDifferences.at(case, half_steps))
 
 
 def test_through_the_torch_renderer_they_are_those_of_autograd() -> None:
@@ -113,7 +117,7 @@ def test_through_the_torch_renderer_they_are_those_of_autograd() -> None:
     scene, target = ball(), network()
     whole = TorchRenderer(scene, rasterise(scene), tolerance="exact")
     smooth, opaque = (problem(Few(whole, has), target) for has in (True, False))
-    opaque.differences = ImageDifferences(opaque, dict.fromkeys(GROUPS, 1e-3))
+    opaque = differenced(opaque, dict.fromkeys(GROUPS, 1e-3))
     assert torch.equal(smooth.original, opaque.original)
     places = [place(opaque, seed, 0.5) for seed in (0, 4, 7, 32, 63)]
     ours = [found(opaque, at) for at in places]
@@ -136,19 +140,19 @@ class Straight:
         return images.double().flatten(1) @ self.weights
 
 
-def differences_of_the_objective(case: AttackProblem, at: Parameters, half_steps: dict[str, float]) -> Tensor:
+def differences_of_the_objective(case: AttackProblem, at: Tensor, half_steps: dict[str, float]) -> Tensor:
     """One image after the other, each shown to the network."""
     layout = case.layout
     steps, found = layout.spread(half_steps), torch.zeros(layout.total, dtype=torch.float64)
     for k in range(layout.total):
         values, places = [], []
         for sign in (1, -1):
-            moved = layout.flatten(at)
+            moved = at.clone()
             moved[k] += sign * steps[k]
-            inside = case.clamp(layout.unflatten(moved))
-            images = case.renderer.render({g: (case.initial[g] + v)[None] for g, v in inside.items()})
+            inside = case.limits.clamp(moved)
+            images = case.renderer.render(layout.unflatten((case.initial + inside)[None]))
             values.append(case.goal.objective(case.target.logits(images.double()))[0])
-            places.append(layout.flatten(inside)[k])
+            places.append(inside[k])
         found[k] = (values[0] - values[1]) / (places[0] - places[1])
     return found
 
@@ -156,11 +160,10 @@ def differences_of_the_objective(case: AttackProblem, at: Parameters, half_steps
 def test_through_pyrender_they_are_differences_of_the_objective() -> None:
     """Of float images, at the measured steps. The object is white, so that its colour is at a bound."""
     case = problem(PyrenderRenderer(ball(), PYRENDER.group_names), Straight())  # type: ignore[arg-type]
-    chosen = measure_half_steps(case)
-    case.differences = ImageDifferences(case, chosen)
-    at = case.clamp(place(case, 0, 0.05))
-    at["color"] = torch.zeros_like(at["color"])
-    ours = found(case, at)
+    chosen = measure_image_half_steps(case)
+    at = case.limits.clamp(place(case, 0, 0.05))
+    case.layout.unflatten(at)["color"].zero_()
+    ours = found(differenced(case, chosen), at)
     wanted = differences_of_the_objective(case, at, chosen)
     assert len(wanted) == 18
     assert bool((wanted.abs() > 1e-3).all())
@@ -170,11 +173,11 @@ def test_through_pyrender_they_are_differences_of_the_objective() -> None:
 def test_through_pyrender_and_the_real_network_they_are_near_differences_of_the_objective() -> None:
     """The network bends between the two images of a difference: little, as light and colour change them little."""
     case = problem(PyrenderRenderer(ball(), ("illumination", "color")), network(), ("illumination", "color"))
-    small = dict.fromkeys(case.groups, 1e-3)
-    case.differences = ImageDifferences(case, small)
+    small = dict.fromkeys(case.layout.groups, 1e-3)
     at = place(case, 0, 0.05)
-    at["color"] = -at["color"].abs() - 0.01
-    ours = found(case, at)
+    color = case.layout.unflatten(at)["color"]
+    color.copy_(-color.abs() - 0.01)
+    ours = found(differenced(case, small), at)
     wanted = differences_of_the_objective(case, at, small)
     assert float(cosine_similarity(ours, wanted, dim=0)) > 0.999
     assert float(ours.norm() / wanted.norm()) == pytest.approx(1, abs=0.03)

@@ -1,14 +1,14 @@
 """Coordinates are left out of a search only if they were measured to do nothing that counts."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import pytest
 import torch
 
-from services.attacks.leave_out import SHARE, measure, without
-from services.attacks.run import Budget, Verifier, run
-from services.attacks.zoo import Zoo, ZooMethod
-from tests.unit.attacks.small import FreeRenderer, LinearTarget, problem
+from services.attacks.leave_out import SHARE, leave_out, measure
+from services.attacks.zoo import Zoo
+from tests.unit.attacks.small import FreeRenderer, LinearTarget, attack, problem
 from tests.unit.attacks.test_constraint import Ball
 
 
@@ -52,22 +52,21 @@ def test_only_what_does_nothing_that_counts_is_left_out() -> None:
 def test_an_attack_never_moves_what_is_left_out() -> None:
     renderer = Weak()
     whole = problem(renderer, LinearTarget(scale=0.1), constraint=Ball(0.5))
-    found = measure(whole, CHANGE)
-    case = problem(renderer, LinearTarget(scale=0.1), constraint=without(whole, found.left_out))
+    case, found = leave_out(whole, CHANGE, lambda _, __: None)
+    assert found is not None
     settings = Zoo.model_construct(
         coordinates=9, delta=1e-3, learning_rate={"a": 0.05, "b": 0.01}, weight=0.0, steps=4, method="zoo"
     )
-    state = run(case, ZooMethod(settings, case), Verifier(case.renderer, case.target), Budget(4))
-    moved = case.layout.flatten(state.stored) != 0
-    assert not bool((moved & found.left_out).any())
+    moved = case.layout.flatten(attack(case, settings).stored) != 0
+    assert not bool((moved & found.effects.left_out).any())
     assert not bool(moved[5])  # the inner constraint's
     assert bool(moved.any())
 
 
 def test_an_advantage_that_is_gone_leaves_nothing_out_that_does_anything() -> None:
     case = problem(FreeRenderer(), LinearTarget())
-    case.goal = type(case.goal)((), int(1 - case.goal.leave[0] % 2))  # to reach: no advantage of its own kind
-    found = measure(case, {"a": 0.01})
+    goal = type(case.goal)((), int(1 - case.goal.leave[0] % 2))  # to reach: no advantage of its own kind
+    found = measure(replace(case, goal=goal), {"a": 0.01})
     assert not bool(found.left_out[6:].any())  # group "b" was not measured
     assert float(found.alone[found.left_out].sum()) <= SHARE * max(found.advantage, 0.0)
 

@@ -72,7 +72,7 @@ BLIND: dict[str, dict[str, float]] = {
 def test_a_search_that_p_or_u_limits_has_no_epsilon_that_nobody_asked_for(name: str, limit: dict[str, object]) -> None:
     """Its steps are then those that the renderer suggests, times a factor, and no shorter than with the suggested ε."""
     for declaration in (PYRENDER, TORCH):
-        settings = ATTACKS[name].settings.model_validate({"renderer": declaration.name} | limit)
+        settings = ATTACKS[name].model_validate({"renderer": declaration.name} | limit)
         assert settings.epsilon == {}
         for field, factor in BLIND[name].items():
             suggested = {
@@ -81,15 +81,15 @@ def test_a_search_that_p_or_u_limits_has_no_epsilon_that_nobody_asked_for(name: 
                 if group.by_default
             }
             assert getattr(settings, field) == pytest.approx(suggested, rel=1e-12)
-    given = ATTACKS[name].settings.model_validate({"renderer": "pyrender", "epsilon": {"color": 0.3}} | limit)
+    given = ATTACKS[name].model_validate({"renderer": "pyrender", "epsilon": {"color": 0.3}} | limit)
     assert given.epsilon == {"color": 0.3}
 
 
 @pytest.mark.parametrize("name", BLIND)
 def test_a_search_without_another_limit_takes_the_suggested_epsilon(name: str) -> None:
-    settings = ATTACKS[name].settings.model_validate({"renderer": "pyrender"})
+    settings = ATTACKS[name].model_validate({"renderer": "pyrender"})
     assert settings.epsilon == {"illumination": 0.1, "color": 0.1, "translation": 0.02, "rotation": 0.1}
-    assert ATTACKS[name].settings.model_validate(settings.model_dump()) == settings
+    assert ATTACKS[name].model_validate(settings.model_dump()) == settings
 
 
 def test_apgd_measures_its_step_in_an_epsilon_whatever_else_limits_it() -> None:

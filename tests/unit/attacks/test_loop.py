@@ -6,33 +6,33 @@ from pathlib import Path
 import pytest
 import torch
 
-from services.attacks.fgsm import Fgsm, FgsmMethod
+from services.attacks.attack import Attack, State
+from services.attacks.fgsm import Fgsm
 from services.attacks.goal import ResolvedGoal
-from services.attacks.problem import AttackProblem, Evaluation, quantize
-from services.attacks.run import AttackState, Budget, Verifier, run, sampled_error
-from services.attacks.zoo import Zoo, ZooMethod
+from services.attacks.problem import AttackProblem, Evaluation, evaluate, quantize
+from services.attacks.run import AttackRun, Verifier, run_attack
+from services.attacks.zoo import Zoo
 from services.device import finite
 from services.errors import Cancelled, JobFailure
 from services.rendering.color import as_saved
 from services.rendering.plan import ImageError
-from tests.unit.attacks.small import Ahead, LinearRenderer, LinearTarget, problem
+from tests.unit.attacks.small import Ahead, LinearRenderer, LinearTarget, attack, problem
 
 FGSM = Fgsm.model_construct(learning_rate={"a": 0.01, "b": 0.01}, momentum=0.9, weight_decay=1e-4)
 ZOO = Zoo.model_construct(coordinates=4, delta=1e-4, learning_rate=2e-3)
 
 
-def attack(case: AttackProblem, budget: Budget, *, zoo: bool = False, path: Path | None = None) -> AttackState:
-    method = ZooMethod(ZOO, case) if zoo else FgsmMethod(FGSM, case)
-    return run(case, method, Verifier(case.renderer, case.target), budget, checkpoint_path=path)
+METHODS = pytest.mark.parametrize("settings", [FGSM, ZOO], ids=["fgsm", "zoo"])
 
 
 def test_it_stops_when_verified_and_stores_that_step() -> None:
     case = problem()
-    found = attack(case, Budget(120))
+    found = attack(case, FGSM)
     assert found.stopped == "verified"
     assert found.fooled
     assert found.verified
-    assert found.stored_step == found.step == found.trace[-1].step
+    assert found.best is not None
+    assert found.best.step == found.step == found.trace[-1].step
     assert [row.advantage < 0 for row in found.trace] == [False] * found.step + [True]
     assert found.trace[0].distance == 0
     assert found.trace[0].perceptibility == 0
@@ -40,20 +40,19 @@ def test_it_stops_when_verified_and_stores_that_step() -> None:
 
 def test_the_trace_counts_every_query_and_rendering() -> None:
     case = problem()
-    found = attack(case, Budget(120))
+    found = attack(case, FGSM)
     # a look is 1 query and 1 rendering, the original 1 rendering, the verdict 1 of each; the gradient asks nothing more
     assert found.trace[-1].queries == found.step + 1
     assert found.trace[-1].renders == found.step + 2
-    assert case.queries == found.trace[-1].queries
+    assert case.counts.queries == found.step + 2  # the verifier's, after the row
 
 
-@pytest.mark.parametrize("zoo", [False, True])
-def test_the_trace_has_what_the_method_minimises(zoo: bool) -> None:
-    case = problem(target=LinearTarget(scale=1e-3), weight=0.3)
-    for row in attack(case, Budget(3), zoo=zoo).trace:
-        assert row.objective is not None
+@METHODS
+def test_the_trace_has_what_the_method_minimises(settings: Attack) -> None:
+    case = problem(target=LinearTarget(scale=1e-3), distance_weight=0.3)
+    for row in attack(case, settings, steps=3).trace:
         # the advantage, or the log-odds log p / (1 − p), by definition from the trace's own numbers
-        gained = row.advantage if zoo else math.log(row.loss / (1 - row.loss))
+        gained = row.advantage if settings is ZOO else math.log(row.loss / (1 - row.loss))
         assert row.objective == pytest.approx(gained + 0.3 * row.distance**2, abs=1e-6)
 
 
@@ -61,18 +60,17 @@ def test_a_pixel_counts_as_truncated_if_it_ever_was() -> None:
     """One step truncates, the next, back at the start, does not; the result counts the pixels of both together."""
     case = problem(target=Ahead(LinearRenderer()), truncation=0.01)
 
-    class ThereAndBack(FgsmMethod):
-        def advance(self, problem: AttackProblem, view: Evaluation, step: int) -> int:
-            self.perturbation = problem.nothing()
-            self.perturbation["a"] += 0.05 if step == 0 else 0.0
-            return 0
+    there = torch.tensor([0.05] * 6 + [0.0] * 3, dtype=torch.float64)
 
-    found = run(case, ThereAndBack(FGSM, case), Verifier(case.renderer, case.target), Budget(2))
-    there = {"a": torch.full((2, 3), 0.05, dtype=torch.float64), "b": torch.zeros(3, dtype=torch.float64)}
-    image = case.renderer.render({g: (case.initial[g] + v)[None] for g, v in there.items()})
+    class ThereAndBack(Fgsm):
+        def step(self, problem: AttackProblem, state: State, evaluation: Evaluation) -> State:
+            return state | {"delta": problem.nothing if evaluation.step else there}
+
+    found = attack(case, ThereAndBack.model_construct(**dict(FGSM)), steps=2)
+    image = case.renderer.render(case.layout.unflatten((case.initial + there)[None]))
     beyond = ((image - case.original).abs() > 0.01).any(dim=-1)[0]
     assert [row.truncated for row in found.trace] == [0, int(beyond.sum()), 0]
-    assert torch.equal(found.ever, beyond)
+    assert torch.equal(found.ever_truncated, beyond)
     assert int(beyond.sum()) > 0
 
 
@@ -80,24 +78,27 @@ def test_what_fools_in_the_loop_is_verified_itself_not_what_fooled_more_before()
     """The first is refused by the verifier. The second fools the loop by less; it is what is verified and stored."""
     case = problem()
     asked: list[Mapping[str, torch.Tensor]] = []
-    towards = attack(problem(), Budget(120)).stored
+    best = attack(problem(), FGSM).best
+    assert best is not None
+    towards = best.delta
 
     class SecondOnly(Verifier):
         def fooled(self, perturbation: Mapping[str, torch.Tensor], goal: ResolvedGoal) -> bool:
             asked.append(perturbation)
             return len(asked) == 2
 
-    class Less(FgsmMethod):
-        def advance(self, problem: AttackProblem, view: Evaluation, step: int) -> int:
-            self.perturbation = problem.clamp({g: (1.5 if step == 0 else 1.0) * v for g, v in towards.items()})
-            return 0
+    class Less(Fgsm):
+        def step(self, problem: AttackProblem, state: State, evaluation: Evaluation) -> State:
+            return state | {"delta": problem.limits.clamp((1.0 if evaluation.step else 1.5) * towards)}
 
-    found = run(case, Less(FGSM, case), SecondOnly(case.renderer, case.target), Budget(5))
+    settings = Less.model_construct(**dict(FGSM))
+    found = run_attack(AttackRun.begin_or_resume(case, settings, SecondOnly.of(case)))
     assert found.trace[1].advantage < found.trace[2].advantage < 0
-    assert (found.stopped, found.stored_step) == ("verified", 2)
-    for group, value in towards.items():
+    assert found.best is not None
+    assert (found.stopped, found.best.step) == ("verified", 2)
+    torch.testing.assert_close(found.best.delta, towards)
+    for group, value in case.layout.unflatten(towards).items():
         torch.testing.assert_close(asked[1][group], value)
-        torch.testing.assert_close(found.stored[group], value)
 
 
 def test_success_is_judged_on_the_image_as_saved() -> None:
@@ -113,9 +114,10 @@ def test_success_is_judged_on_the_image_as_saved() -> None:
     renderer = LinearRenderer()
     renderer.base = (renderer.base * 255).round() / 255
     case = problem(renderer, Edge(classes=2))
-    crossed = [case.goal.fooled(case.logits(case.view(attack(case, Budget(n)).stored).images)) for n in range(10)]
-    assert any(crossed)  # float images do, on the way
-    found = attack(case, Budget(10))
+    ends = [attack(case, FGSM, steps=n).best for n in range(1, 10)]
+    images = [evaluate(case, end.delta, 0).image for end in ends if end is not None]
+    assert any(bool(case.goal.fooled(case.scores(image))) for image in images)  # float images do, on the way
+    found = attack(case, FGSM, steps=10)
     assert not found.fooled
     assert found.stopped == "steps"
 
@@ -137,44 +139,47 @@ def test_a_image_fooled_by_truncation_alone_does_not_end_the_loop() -> None:
     renderer.base = original[0]
     quick = Fgsm.model_construct(learning_rate={"a": 0.5, "b": 0.5}, momentum=0.0, weight_decay=0.0)
     case = problem(renderer, Shy(classes=2), truncation=0.01)
-    found = run(case, FgsmMethod(quick, case), Verifier(case.renderer, case.target), Budget(3))
+    found = attack(case, quick, steps=3)
     assert found.fooled
     assert not found.verified
     assert found.stopped == "steps"
-    assert int(found.ever.sum()) > 0
+    assert int(found.ever_truncated.sum()) > 0
 
 
-@pytest.mark.parametrize("zoo", [False, True])
-def test_budgets_end_it(zoo: bool) -> None:
+@METHODS
+def test_budgets_end_it(settings: Attack) -> None:
     hard = LinearTarget(scale=1e-3)
-    assert attack(problem(target=hard), Budget(2), zoo=zoo).stopped in ("steps", "verified")
-    spent = attack(problem(target=hard, truncation=0.001), Budget(10_000, queries=30), zoo=zoo)
+    assert attack(problem(target=hard), settings, steps=2).stopped in ("steps", "verified")
+    spent = attack(problem(target=hard, truncation=0.001), settings, steps=10_000, queries=30)
     assert spent.stopped == "queries"
     assert spent.trace[-2].queries < 30 <= spent.trace[-1].queries
-    assert attack(problem(target=hard, truncation=0.001), Budget(10_000, seconds=1e-9), zoo=zoo).stopped == "seconds"
+    late = attack(problem(target=hard, truncation=0.001), settings, steps=10_000, seconds=1e-9)
+    assert late.stopped == "seconds"
 
 
-@pytest.mark.parametrize("zoo", [False, True])
-def test_a_resumed_attack_ends_in_the_same_result(zoo: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@METHODS
+def test_a_resumed_attack_ends_in_the_same_result(
+    settings: Attack, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("services.attacks.run.EVERY", -1.0)  # after every step
-    whole = attack(problem(truncation=0.002), Budget(12), zoo=zoo)
+    whole = attack(problem(truncation=0.002), settings, steps=12)
     seen = 0
 
     def die() -> None:
         nonlocal seen
         seen += 1
-        if seen > (8 if zoo else 7):
+        if seen > (8 if settings is ZOO else 7):
             raise Cancelled
 
     with pytest.raises(Cancelled):
-        attack(problem(truncation=0.002, interrupt=die), Budget(12), zoo=zoo, path=tmp_path / "checkpoint")
-    resumed = attack(problem(truncation=0.002), Budget(12), zoo=zoo, path=tmp_path / "checkpoint")
+        attack(problem(truncation=0.002, interrupt=die), settings, tmp_path / "checkpoint", steps=12)
+    resumed = attack(problem(truncation=0.002), settings, tmp_path / "checkpoint", steps=12)
     for group, value in whole.stored.items():
         assert torch.equal(value, resumed.stored[group])
     assert [row.model_copy(update={"seconds": 0}) for row in whole.trace] == [
         row.model_copy(update={"seconds": 0}) for row in resumed.trace
     ]
-    assert torch.equal(whole.ever, resumed.ever)
+    assert torch.equal(whole.ever_truncated, resumed.ever_truncated)
     assert whole.settings == resumed.settings
 
 
@@ -204,17 +209,23 @@ def test_a_resumed_attack_knows_the_errors_of_images_rendered_before(
             raise Cancelled
 
     whole, cut, resumed = (problem(Measured(), truncation=0.002, interrupt=call) for call in (int, die, int))
-    wanted = sampled_error(attack(whole, Budget(12)), whole)
+    wanted = attack(whole, FGSM, steps=12).sampled_error
     with pytest.raises(Cancelled):
-        attack(cut, Budget(12), path=path)
-    found = attack(resumed, Budget(12), path=path)
+        attack(cut, FGSM, path, steps=12)
+    found = attack(resumed, FGSM, path, steps=12)
     assert resumed.renderer.sampled_error != wanted  # the worst image was rendered before
-    assert sampled_error(found, resumed) == wanted
+    assert found.sampled_error == wanted
 
 
 def test_a_damaged_checkpoint_is_as_good_as_none(tmp_path: Path) -> None:
     (tmp_path / "checkpoint").write_bytes(b"not safetensors at all")
-    assert attack(problem(), Budget(12), path=tmp_path / "checkpoint").step == attack(problem(), Budget(12)).step
+    assert attack(problem(), FGSM, tmp_path / "checkpoint").step == attack(problem(), FGSM).step
+
+
+def test_the_verifier_counts_with_the_problem() -> None:
+    case = problem()
+    with pytest.raises(ValueError, match="share `counts`"):
+        AttackRun.begin_or_resume(case, FGSM, Verifier(case.renderer, case.target))
 
 
 def test_a_image_of_nan_ends_the_job() -> None:

@@ -1,7 +1,9 @@
+from dataclasses import replace
+
 import torch
 
-from services.attacks.mi_fgsm import MiFgsm, MiFgsmMethod
-from tests.unit.attacks.small import FreeRenderer, LinearTarget, guided, problem
+from services.attacks.mi_fgsm import MiFgsm
+from tests.unit.attacks.small import FreeRenderer, LinearTarget, guided, problem, stepped
 
 RATES = {"a": 0.01, "b": 0.02}
 
@@ -13,47 +15,45 @@ def settings(**given: object) -> MiFgsm:
 def test_steps_match_the_formula_on_gradients_of_an_independent_graph() -> None:
     """Dong et al. 2018, equations 6 and 7, with numpy-like sums over an autograd graph of their own."""
     case = problem(FreeRenderer())
-    method = MiFgsmMethod(settings(), case)
-    delta = {group: torch.zeros_like(value) for group, value in case.initial.items()}
-    sums = {group: torch.zeros_like(value) for group, value in case.initial.items()}
+    state, start = settings().init(case), case.renderer.initial()
+    delta = {group: torch.zeros_like(value) for group, value in start.items()}
+    sums = {group: torch.zeros_like(value) for group, value in start.items()}
     for step in range(5):
-        view = guided(case, method.perturbation)
         leaves = {group: value.clone().requires_grad_() for group, value in delta.items()}
-        images = case.renderer.render({group: (case.initial[group] + leaf)[None] for group, leaf in leaves.items()})
+        images = case.renderer.render({group: (start[group] + leaf)[None] for group, leaf in leaves.items()})
         p = torch.softmax(case.target.logits((images * 255).round() / 255 + images - images.detach()), -1)[0]
         torch.log(p[case.goal.leave[0]] / (1 - p[case.goal.leave[0]])).backward()  # type: ignore[no-untyped-call]
         for group, leaf in leaves.items():
             assert leaf.grad is not None
             sums[group] = 0.7 * sums[group] + leaf.grad / leaf.grad.abs().sum()
             delta[group] = delta[group] - RATES[group] * sums[group].sign()
-        method.advance(case, view, step)
+        state = stepped(case, settings(), state, step)
         for group, value in delta.items():
-            torch.testing.assert_close(method.perturbation[group], value)
-            torch.testing.assert_close(method.accumulated[group], sums[group], rtol=1e-4, atol=1e-7)
+            torch.testing.assert_close(case.layout.unflatten(state["delta"])[group], value)
+            accumulated = case.layout.unflatten(state["accumulated"])[group]
+            torch.testing.assert_close(accumulated, sums[group], rtol=1e-4, atol=1e-7)
 
 
 def test_the_memory_of_a_gradient_is_of_its_direction_not_of_its_size() -> None:
     """Of two gradients, the second larger by 1000: without the norm it alone would decide the sign."""
     case = problem(FreeRenderer())
-    method = MiFgsmMethod(settings(decay=1.0), case)
-    view = guided(case, case.nothing())
+    state, look = settings().init(case), guided(case, case.nothing)
     first = torch.tensor([3.0, 1.0, 1.0], dtype=torch.float64)
     second = torch.tensor([-1.0, 1.0, -3.0], dtype=torch.float64)
     for gradient in (first, 1000 * second):
-        view.gradients["b"] = gradient
-        method.advance(case, view, 0)
-    assert method.accumulated["b"].sign().tolist() == [1.0, 1.0, -1.0]
+        whole = torch.cat([torch.ones(6, dtype=torch.float64), gradient])
+        state = settings(decay=1.0).step(case, state, replace(look, gradient=whole))
+    assert state["accumulated"][6:].sign().tolist() == [1.0, 1.0, -1.0]
 
 
-def test_a_group_whose_gradient_is_zero_is_counted_and_goes_on_by_its_memory() -> None:
+def test_a_group_whose_gradient_is_zero_goes_on_by_its_memory() -> None:
     case = problem(FreeRenderer())
-    method = MiFgsmMethod(settings(), case)
-    view = guided(case, case.nothing())
-    assert method.advance(case, view, 0) == 0
-    before = {group: value.clone() for group, value in method.accumulated.items()}
-    view.gradients["b"] = torch.zeros(3, dtype=torch.float64)
-    assert method.advance(case, view, 1) == 1
-    assert torch.equal(method.accumulated["b"], 0.7 * before["b"])
+    look = guided(case, case.nothing)
+    first = settings().step(case, settings().init(case), look)
+    assert look.gradient is not None
+    zero = look.gradient.masked_fill(torch.arange(9) > 5, 0.0)
+    second = settings().step(case, first, replace(look, gradient=zero))
+    assert torch.equal(second["accumulated"][6:], 0.7 * first["accumulated"][6:])
 
 
 def test_the_loss_decides_the_gradient() -> None:
@@ -62,9 +62,11 @@ def test_the_loss_decides_the_gradient() -> None:
     found = {}
     for name in ("margin", "log-odds"):
         case = problem(FreeRenderer(), target, loss=name)
-        found[name] = guided(case, case.nothing()).gradients["a"]
+        gradient = guided(case, case.nothing).gradient
+        assert gradient is not None
+        found[name] = gradient[:6]
     scores = target.logits(case.original)[0]
     order = scores.argsort(descending=True)
     rows = target.scale * (target.weights[:, order[0]] - target.weights[:, order[1]])
-    torch.testing.assert_close(found["margin"].flatten(), case.renderer.weights["a"].T @ rows)  # type: ignore[attr-defined]
+    torch.testing.assert_close(found["margin"], case.renderer.weights["a"].T @ rows)  # type: ignore[attr-defined]
     assert not torch.allclose(found["margin"], found["log-odds"])

@@ -7,14 +7,14 @@ import pytest
 import torch
 from torch import Tensor
 
-from services.attacks.fgsm import Fgsm, FgsmMethod
-from services.attacks.image_differences import ImageDifferences
-from services.attacks.natural_gradient import NaturalGradient, NaturalGradientMethod, steepest
+from services.attacks.differences import ImageDifferences
+from services.attacks.fgsm import Fgsm
+from services.attacks.natural_gradient import NaturalGradient, steepest
 from services.attacks.problem import AttackProblem
-from services.attacks.run import AttackState, Budget, Verifier, run
+from services.attacks.run import AttackRun
 from services.errors import Cancelled
 from services.pipeline.spec import parse
-from tests.unit.attacks.small import CurvedRenderer, LinearTarget, OpaqueCurvedRenderer, guided, problem
+from tests.unit.attacks.small import CurvedRenderer, LinearTarget, OpaqueCurvedRenderer, attack, guided, problem
 
 RANDOM = torch.Generator().manual_seed(0)
 SETTINGS = NaturalGradient.model_construct(radius=0.005)
@@ -26,10 +26,9 @@ def metric(total: int = 5) -> Tensor:
     return slopes @ slopes.T / 40
 
 
-def opaque(**settings: object) -> AttackProblem:
-    case = problem(OpaqueCurvedRenderer(), needs_metric=True, **settings)
-    case.differences = ImageDifferences(case, HALF_STEPS)
-    return case
+def opaque(*, keeps_metric: bool = True) -> AttackProblem:
+    case = problem(OpaqueCurvedRenderer())
+    return replace(case, differences=ImageDifferences.at(case, HALF_STEPS, keeps_metric=keeps_metric))
 
 
 def test_undamped_it_is_the_closed_form_and_no_other_direction_descends_more() -> None:
@@ -64,47 +63,35 @@ def test_a_coordinate_that_changes_nothing_stays() -> None:
 def test_the_metric_of_differences_is_that_of_autograd() -> None:
     """dᵀMd = p², with M from the Jacobian of a renderer that has gradients, at a place other than the start."""
     case, renderer = opaque(), CurvedRenderer()
-    at = {g: 0.1 * torch.randn(v.shape, generator=RANDOM, dtype=torch.float64).abs() for g, v in case.nothing().items()}
-    guided(case, at)
-    start = case.layout.flatten({g: case.initial[g] + value for g, value in at.items()})
+    at = 0.1 * torch.randn(9, generator=RANDOM, dtype=torch.float64).abs()
+    found, start = guided(case, at).metric, case.initial + at
 
     def image(vector: Tensor) -> Tensor:
         return renderer.render({g: value[None] for g, value in case.layout.unflatten(vector).items()}).flatten()
 
     slopes: Tensor = torch.func.jacrev(image)(start)
-    assert case.differences is not None
-    assert case.differences.metric is not None
-    torch.testing.assert_close(case.differences.metric, slopes.T @ slopes / 20, rtol=1e-6, atol=1e-8)  # 4×5 pixels
+    assert found is not None
+    torch.testing.assert_close(found, slopes.T @ slopes / 20, rtol=1e-6, atol=1e-8)  # 4×5 pixels
     small = 1e-4 * torch.randn(case.layout.total, generator=RANDOM, dtype=torch.float64)
     p = float((image(start + small) - image(start)).square().sum() / 20) ** 0.5
-    assert float(small @ case.differences.metric @ small) ** 0.5 == pytest.approx(p, rel=1e-3)
+    assert float(small @ found @ small) ** 0.5 == pytest.approx(p, rel=1e-3)
 
 
 def test_no_metric_is_kept_for_a_method_that_needs_none() -> None:
-    case = opaque()
-    case.needs_metric = False
-    guided(case, case.nothing())
-    assert case.differences is not None
-    assert case.differences.metric is None
-
-
-def attack(case: AttackProblem, steps: int, path: Path | None = None) -> AttackState:
-    method = NaturalGradientMethod(SETTINGS, case)
-    return run(case, method, Verifier(case.renderer, case.target), Budget(steps), checkpoint_path=path)
+    case = opaque(keeps_metric=False)
+    assert guided(case, case.nothing).metric is None
 
 
 def test_the_first_step_changes_the_image_by_the_radius_and_a_failed_one_is_cut() -> None:
     case = opaque()
-    method = NaturalGradientMethod(SETTINGS, case)
-    view = guided(case, method.perturbation)
-    method.advance(case, view, 0)
-    first = case.layout.flatten(method.perturbation)
-    change = case.view(method.perturbation).images - case.original
+    look = guided(case, case.start)
+    state = SETTINGS.step(case, SETTINGS.init(case), look)
+    first = state["delta"]
+    change = case.render(first[None]) - case.original
     p = float(change.square().sum(-1).mean().sqrt())
     assert p == pytest.approx(SETTINGS.radius, rel=0.1)  # the image is curved
-    worse = replace(guided(case, method.perturbation), objective=view.objective + 1)
-    method.advance(case, worse, 1)
-    second = case.layout.flatten(method.perturbation)
+    worse = replace(guided(case, first, 1), objective=look.objective + 1)
+    second = SETTINGS.step(case, state, worse)["delta"]
     assert float(second.norm()) < 0.8 * float(first.norm())  # from the start again, half as far
     assert float(second @ first) > 0
 
@@ -114,11 +101,11 @@ def test_it_lowers_the_objective_more_than_signs_do_at_the_same_p() -> None:
     falls = {}
     hard = LinearTarget(scale=0.3)
     for name in ("natural", "signs"):
-        case = problem(OpaqueCurvedRenderer(), hard, needs_metric=name == "natural", perceptibility=0.02)
+        case = problem(OpaqueCurvedRenderer(), hard, perceptibility=0.02)
         signs = Fgsm.model_construct(learning_rate={"a": 0.005, "b": 0.005}, momentum=0.9, weight_decay=0.0)
-        method = NaturalGradientMethod(SETTINGS, case) if name == "natural" else FgsmMethod(signs, case)
-        found = run(case, method, Verifier(case.renderer, hard), Budget(12))
-        assert found.trace[found.stored_step].perceptibility <= 0.02
+        found = attack(case, SETTINGS if name == "natural" else signs, steps=12)
+        assert found.best is not None
+        assert found.trace[found.best.step].perceptibility <= 0.02
         falls[name] = found.trace[0].advantage - min(row.advantage for row in found.trace)
     assert falls["natural"] > 1.2 * falls["signs"] > 0
 
@@ -127,19 +114,19 @@ def test_resumed_it_ends_in_the_same_bits(tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.setattr("services.attacks.run.EVERY", -1.0)  # after every step
     hard = LinearTarget(scale=1e-3)
 
-    def case(interrupt: object = lambda: None) -> AttackProblem:
-        return problem(OpaqueCurvedRenderer(), hard, needs_metric=True, interrupt=interrupt)
+    def attacked(path: Path | None = None, interrupt: object = lambda: None) -> AttackRun:
+        return attack(problem(OpaqueCurvedRenderer(), hard, interrupt=interrupt), SETTINGS, path, steps=8)
 
-    whole, left = attack(case(), 8), iter(range(18))
+    whole, left = attacked(), iter(range(18))
 
     def die() -> None:
         if next(left, None) is None:
             raise Cancelled
 
     with pytest.raises(Cancelled):
-        attack(case(die), 8, tmp_path / "checkpoint")
+        attacked(tmp_path / "checkpoint", die)
     assert (tmp_path / "checkpoint").exists()
-    resumed = attack(case(), 8, tmp_path / "checkpoint")
+    resumed = attacked(tmp_path / "checkpoint")
     for group, value in whole.stored.items():
         assert torch.equal(value, resumed.stored[group])
     assert [row.objective for row in whole.trace] == [row.objective for row in resumed.trace]

@@ -1,16 +1,17 @@
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
 
-from services.attacks.differences import evaluate
+from services.attacks.differences import ImageDifferences
 from services.attacks.expectation import Expectation
 from services.attacks.goal import ResolvedGoal
-from services.attacks.p_rgf import PRgf, PRgfMethod, projected_gradient
-from services.attacks.prior import Prior
-from services.attacks.problem import AttackProblem
+from services.attacks.p_rgf import PRgf, projected_gradient, surrogate_gradient
+from services.attacks.problem import AttackProblem, Surrogate
+from services.attacks.run import AttackRun, Verifier, run_attack
 from services.attacks.spsa import draw_directions
-from services.attacks.surrogate import Surrogate
 from services.rendering.protocol import InactiveCoordinate
 from tests.unit.attacks.small import (
     Ahead,
@@ -19,9 +20,11 @@ from tests.unit.attacks.small import (
     LinearTarget,
     OpaqueCurvedRenderer,
     Pixels,
+    attack,
     autograd,
     problem,
     smooth,
+    stepped,
 )
 
 
@@ -40,7 +43,7 @@ def test_the_estimate_is_the_projection_of_autograds_gradient(count: int) -> Non
     found, still = projected_gradient(case, at, directions, half_steps)
     torch.testing.assert_close(found, projection(autograd(case, at), directions, half_steps), rtol=1e-6, atol=1e-9)
     assert still == 0
-    assert case.queries == 2 * count
+    assert case.counts.queries == 2 * count
 
 
 @pytest.mark.parametrize("count", [9, 64])
@@ -74,8 +77,7 @@ def test_a_direction_along_which_nothing_changes_is_counted() -> None:
 def with_surrogate(target: LinearTarget, surrogate: LinearTarget, **settings: object) -> AttackProblem:
     renderer = Pixels(dtype=torch.float32)
     case = problem(renderer, target, epsilon={"image": 0.05}, **settings)
-    case.surrogate = Surrogate(surrogate, ResolvedGoal(case.goal.leave, None))
-    return case
+    return replace(case, surrogate=Surrogate(surrogate, ResolvedGoal(case.goal.leave, None)))
 
 
 def settings(**given: object) -> PRgf:
@@ -85,14 +87,11 @@ def settings(**given: object) -> PRgf:
 def test_the_surrogates_queries_are_counted_apart() -> None:
     renderer = Pixels(dtype=torch.float32)
     case = with_surrogate(Ahead(renderer), Ahead(renderer))
-    method = PRgfMethod(settings(pairs=3, surrogate="other"), case)
-    assert method.start(case) == {"surrogate": {}}
-    queries, renders = case.queries, case.renders
-    for step in range(4):
-        method.advance(case, case.view(method.perturbation), step)
-    assert case.queries - queries == 4 * 2 * (3 + 1)
-    assert case.surrogate_queries == 4
-    assert case.renders - renders == 4 * (2 * (3 + 1) + 1 + 1)  # both sides, the view above, the surrogate's view
+    found = attack(case, settings(pairs=3, surrogate="other"), steps=4)
+    assert found.settings == {"surrogate": {}}
+    assert case.counts.queries == 4 * 2 * (3 + 1) + 5  # both sides of each direction, and the loop's looks
+    assert case.counts.surrogate_queries == 4
+    assert case.counts.renders == case.counts.queries + 4 + 1  # the surrogate's looks, and the original
 
 
 def test_a_prior_that_is_the_gradient_needs_no_random_directions() -> None:
@@ -102,12 +101,9 @@ def test_a_prior_that_is_the_gradient_needs_no_random_directions() -> None:
     guided, blind = with_surrogate(target, target), problem(renderer, target, epsilon={"image": 0.05})
     found = {}
     for name, case, pairs in (("guided", guided, 0), ("blind", blind, 1)):
-        method = PRgfMethod(settings(pairs=pairs, surrogate="other"), case)
-        method.start(case)
-        begin = case.layout.flatten(method.perturbation)
-        method.advance(case, case.view(method.perturbation), 0)
-        ends = torch.stack([begin, case.layout.flatten(method.perturbation)])
-        before, after = evaluate(case, ends).tolist()
+        given = settings(pairs=pairs, surrogate="other")
+        state = stepped(case, given, given.init(case), 0)
+        before, after = case.objectives(torch.stack([case.start, state["delta"]])).tolist()
         found[name] = before - after
     steepest = float(autograd(guided, torch.zeros(60)).abs().sum()) * 0.05 / 4
     assert found["guided"] == pytest.approx(steepest, rel=0.02)
@@ -117,23 +113,22 @@ def test_a_prior_that_is_the_gradient_needs_no_random_directions() -> None:
 def test_the_priors_images_are_as_far_off_as_random_ones_and_along_the_gradient() -> None:
     """In units of the half-steps the surrogate's direction is its gradient, as long as a direction of signs: √9."""
     case = problem(FreeRenderer(), epsilon={"a": 0.1, "b": 0.1})
-    case.surrogate = Surrogate(case.target, case.goal)
+    case = replace(case, surrogate=Surrogate(case.target, case.goal))
     half_steps = {"a": 1e-3, "b": 4e-3}
     given = PRgf.model_construct(pairs=0, surrogate="other", delta=half_steps, learning_rate={"a": 0.01, "b": 0.01})
-    method = PRgfMethod(given, case)
-    method.start(case)
-    view, rendered, render = case.view(method.perturbation), [], case.render
+    rendered, render = [], case.renderer.render
 
     def recording(parameters: Any) -> torch.Tensor:
-        rendered.append(torch.cat([parameters[group].detach().flatten(1) for group in case.groups], dim=1))
+        rendered.append(torch.cat([parameters[group].detach().flatten(1) for group in case.layout.groups], dim=1))
         return render(parameters)
 
-    case.render = recording  # type: ignore[method-assign]
-    method.advance(case, view, 0)
+    case.renderer.render = recording  # type: ignore[method-assign]
+    stepped(case, given, given.init(case), 0)
+    sides = rendered[-1]
     units = case.layout.spread(half_steps)
     direction = margin_gradient(case) * units
     moves = units * direction / direction.norm() * 3
-    torch.testing.assert_close(rendered[-1], torch.stack([moves, -moves]), rtol=1e-4, atol=1e-12)
+    torch.testing.assert_close(sides, torch.stack([moves, -moves]), rtol=1e-4, atol=1e-12)
 
 
 def margin_gradient(case: AttackProblem) -> torch.Tensor:
@@ -153,10 +148,8 @@ def test_a_prior_without_direction_is_left_out() -> None:
 
     renderer = Pixels(dtype=torch.float32)
     case = with_surrogate(Ahead(renderer), Blank())
-    method = PRgfMethod(settings(pairs=2, surrogate="other"), case)
-    queries = case.queries
-    method.advance(case, case.view(method.perturbation), 0)
-    assert case.queries - queries == 4
+    attack(case, settings(pairs=2, surrogate="other"), steps=1)
+    assert case.counts.queries == 4 + 2
 
 
 def test_the_surrogates_gradient_is_that_of_this_steps_variations_alone() -> None:
@@ -174,15 +167,14 @@ def test_the_surrogates_gradient_is_that_of_this_steps_variations_alone() -> Non
     renderer = Hides()
     expectation = Expectation(noise=8.0, samples=3)
     case = problem(renderer, LinearTarget(), expectation=expectation)
-    case.surrogate = Surrogate(LinearTarget(), ResolvedGoal(case.goal.leave, None))
+    case = replace(case, surrogate=Surrogate(LinearTarget(), ResolvedGoal(case.goal.leave, None)))
+    differences = ImageDifferences.at(case, {"a": 1e-3, "b": 1e-3})
+    state = {"surrogate_half_steps": differences.half_steps, "surrogate_inactive": differences.inactive}
 
     def asked(steps: list[int]) -> int:
-        prior = Prior(case)
-        prior.load(case.layout.spread({"a": 1e-3, "b": 1e-3}))
         for step in steps:
-            case.draw(step)
             renderer.asked = 0
-            prior.gradient(case, case.nothing())
+            surrogate_gradient(case, state, case.nothing, step)
         return renderer.asked
 
     assert asked([3]) == asked([2, 3])
@@ -194,13 +186,24 @@ def test_no_direction_at_all_is_refused() -> None:
     assert settings(pairs=0, surrogate="other").guide == "other"
 
 
-def test_its_state_continues_where_it_was() -> None:
-    renderer = Pixels(dtype=torch.float32)
-    case = with_surrogate(Ahead(renderer), Ahead(renderer))
-    whole, rest = (PRgfMethod(settings(pairs=2, surrogate="other"), case) for _ in range(2))
-    for step in range(6):
-        if step == 3:
-            rest.load({name: value.clone() for name, value in whole.state().items()})
-        for method in (whole, rest) if step >= 3 else (whole,):
-            method.advance(case, case.view(method.perturbation), step)
-    assert torch.equal(whole.delta, rest.delta)
+@pytest.mark.parametrize("kind", [Pixels, OpaqueCurvedRenderer])
+def test_resumed_it_ends_in_the_same_bits(
+    kind: type[LinearRenderer], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also where the half-steps of the surrogate's gradient are measured."""
+    monkeypatch.setattr("services.attacks.run.EVERY", -1.0)  # after every step
+    renderer = kind(dtype=torch.float32)
+    limits = dict.fromkeys(renderer.groups, 0.05)
+    given = PRgf.model_construct(pairs=2, surrogate="other", delta=limits, learning_rate=limits, steps=6)
+
+    def build() -> AttackProblem:
+        case = problem(renderer, Ahead(renderer), epsilon=limits)
+        return replace(case, surrogate=Surrogate(Ahead(renderer), ResolvedGoal(case.goal.leave, None)))
+
+    whole = attack(build(), given)
+    attack(build(), given, tmp_path / "checkpoint", steps=3)
+    resumed = AttackRun.begin_or_resume(case := build(), given, Verifier.of(case), tmp_path / "checkpoint")
+    assert resumed.step == 3
+    resumed.stopped = None  # it had only three steps
+    assert torch.equal(whole.state["delta"], run_attack(resumed).state["delta"])
+    assert whole.settings == resumed.settings

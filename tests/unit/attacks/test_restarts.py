@@ -1,16 +1,18 @@
 """Restarts: random starts within ε after one that held, the best of them kept, the trace saying which is which."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
 
-from services.attacks.fgsm import Fgsm, FgsmMethod
+from services.attacks.attack import State
+from services.attacks.fgsm import Fgsm
 from services.attacks.problem import AttackProblem, Evaluation
-from services.attacks.run import AttackState, Budget, Verifier, run
+from services.attacks.run import AttackRun
 from services.errors import Cancelled
-from tests.unit.attacks.small import Ahead, FreeRenderer, LinearTarget, problem
+from tests.unit.attacks.small import Ahead, FreeRenderer, LinearTarget, attack, problem
 
 STEPS = 3
 EPSILON = {"a": 0.05, "b": 0.05}
@@ -22,22 +24,19 @@ def case_of(target: LinearTarget | None = None) -> AttackProblem:
     return problem(FreeRenderer(), target or Ahead(FreeRenderer()), epsilon=EPSILON, seed=5)
 
 
-def attack(case: AttackProblem, restarts: int, path: Path | None = None) -> AttackState:
-    def fresh() -> FgsmMethod:
-        return FgsmMethod(RATES, case)
-
-    verifier = Verifier(case.renderer, case.target)
-    return run(case, fresh(), verifier, Budget(STEPS), checkpoint_path=path, restarts=restarts, fresh=fresh)
+def restarted(case: AttackProblem, restarts: int, path: Path | None = None) -> AttackRun:
+    return attack(case, RATES, path, steps=STEPS, restarts=restarts)
 
 
 def test_each_start_takes_its_steps_and_the_best_is_stored() -> None:
     case = case_of()
-    found = attack(case, restarts=4)
+    found = restarted(case, restarts=4)
     assert [row.restart for row in found.trace] == [n for n in range(5) for _ in range(STEPS + 1)]
     assert [row.step for row in found.trace] == list(range(5 * (STEPS + 1)))
     assert found.stopped == "steps"
     least = min(found.trace, key=lambda row: row.advantage)
-    assert found.trace[found.stored_step].advantage == least.advantage
+    assert found.best is not None
+    assert found.trace[found.best.step].advantage == least.advantage
     starts = [found.trace[n * (STEPS + 1)] for n in range(5)]
     assert starts[0].distance == 0
     assert len({row.distance for row in starts}) == 5
@@ -49,15 +48,12 @@ def test_a_method_sees_the_steps_of_its_own_start_and_another_seed() -> None:
     """Its schedule is over `steps`, and equal random numbers would waste the start."""
     case, seen = case_of(), []
 
-    class Recording(FgsmMethod):
-        def advance(self, problem: AttackProblem, view: Evaluation, step: int) -> int:
-            seen.append((step, problem.seed))
-            return super().advance(problem, view, step)
+    class Recording(Fgsm):
+        def step(self, problem: AttackProblem, state: State, evaluation: Evaluation) -> State:
+            seen.append((evaluation.step, problem.seed))
+            return super().step(problem, state, evaluation)
 
-    def fresh() -> Recording:
-        return Recording(RATES, case)
-
-    run(case, fresh(), Verifier(case.renderer, case.target), Budget(STEPS), restarts=2, fresh=fresh)
+    attack(case, Recording.model_construct(**dict(RATES)), steps=STEPS, restarts=2)
     assert [step for step, _ in seen] == 3 * list(range(STEPS))
     assert [len({seed for _, seed in seen[n : n + STEPS]}) for n in (0, STEPS, 2 * STEPS)] == [1, 1, 1]
     assert len({seed for _, seed in seen}) == 3
@@ -65,32 +61,31 @@ def test_a_method_sees_the_steps_of_its_own_start_and_another_seed() -> None:
 
 def test_a_success_ends_the_restarts() -> None:
     """Some random points fool by themselves."""
-    held = attack(case_of(LinearTarget()), restarts=30)
+    held = restarted(case_of(LinearTarget()), restarts=30)
     assert held.trace[0].advantage > 0
     assert held.verified
     assert held.stopped == "verified"
     assert 0 < held.trace[-1].restart < 30
-    assert held.stored_step == held.trace[-1].step
+    assert held.best is not None
+    assert held.best.step == held.trace[-1].step
 
 
 def test_a_resumed_attack_with_restarts_ends_in_the_same_result(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("services.attacks.run.EVERY", -1.0)  # after every step
-    whole = attack(case_of(), restarts=3)
+    whole = restarted(case_of(), restarts=3)
     for lives in (6, 9, 13):  # dies within a restart, and at the beginning of one
-        case = case_of()
         left = iter(range(lives))
 
         def die(left: Iterator[int] = left) -> None:
             if next(left, None) is None:
                 raise Cancelled
 
-        case.interrupt = die
         path = tmp_path / f"checkpoint {lives}"
         with pytest.raises(Cancelled):
-            attack(case, restarts=3, path=path)
-        resumed = attack(case_of(), restarts=3, path=path)
+            restarted(replace(case_of(), interrupt=die), restarts=3, path=path)
+        resumed = restarted(case_of(), restarts=3, path=path)
         assert [row.model_copy(update={"seconds": 0}) for row in whole.trace] == [
             row.model_copy(update={"seconds": 0}) for row in resumed.trace
         ]

@@ -1,5 +1,6 @@
 """Averages over variations of a scene, on linear problems and through pyrender."""
 
+from dataclasses import replace
 from math import radians
 
 import pytest
@@ -7,17 +8,16 @@ import torch
 from torch import Tensor
 
 from services.attacks.attack import ATTACKS
-from services.attacks.differences import estimate, evaluate
+from services.attacks.differences import ImageDifferences, estimate
 from services.attacks.expectation import Expectation
 from services.attacks.goal import ResolvedGoal
-from services.attacks.image_differences import ImageDifferences
-from services.attacks.problem import AttackProblem, draw_variation, gradients
-from services.attacks.run import AttackState, Budget, Verifier, mean_gradients, run, sample
+from services.attacks.problem import AttackProblem, differentiate, draw_variation, evaluate
+from services.attacks.run import AttackRun
 from services.rendering.factory import build
 from services.rendering.variation import Variation, noisy
 from services.scenes.description import Scene
 from services.scenes.resolve import resolve
-from tests.unit.attacks.small import Ahead, Bowl, FreeRenderer, LinearTarget, Pixels, problem
+from tests.unit.attacks.small import Ahead, Bowl, FreeRenderer, LinearTarget, Pixels, attack, problem
 from tests.unit.jobs.small import LIBRARY
 
 NOISE = Expectation(noise=8.0, samples=3)
@@ -26,14 +26,12 @@ NOISE = Expectation(noise=8.0, samples=3)
 def quadratic() -> AttackProblem:
     renderer = FreeRenderer()
     bottom = {"a": torch.full((1, 2, 3), 0.2, dtype=torch.float64), "b": torch.full((1, 3), -0.1, dtype=torch.float64)}
-    case = problem(renderer, Bowl(renderer.render(bottom)[0]), expectation=NOISE, seed=5)
-    case.draw(2)
-    return case
+    return problem(renderer, Bowl(renderer.render(bottom)[0]), expectation=NOISE, seed=5)
 
 
 def leads(case: AttackProblem, at: Tensor) -> Tensor:
     """The mean lead of the first class over the scene and its noisy images, written out; `Bowl`'s scores are leads."""
-    parameters = case.layout.unflatten((case.layout.flatten(case.initial) + at)[None])
+    parameters = case.layout.unflatten((case.initial + at)[None])
     image = case.renderer.render(parameters)
     found = [case.target.logits(image)[0, 0]]
     for number in range(NOISE.samples):
@@ -46,20 +44,18 @@ def leads(case: AttackProblem, at: Tensor) -> Tensor:
 def test_the_objective_is_the_mean_over_the_scene_and_its_variations() -> None:
     case = quadratic()
     vectors = 0.02 * torch.arange(27, dtype=torch.float64).reshape(3, 9)
-    before = case.queries
-    found = evaluate(case, vectors)
-    assert case.queries - before == 3 * (1 + 3)
+    found = case.objectives(vectors, 2)
+    assert case.counts.queries == 3 * (1 + 3)
     torch.testing.assert_close(found, torch.stack([leads(case, vector) for vector in vectors]), rtol=1e-9, atol=1e-12)
 
 
 def test_the_distance_that_is_weighed_is_the_scenes_own() -> None:
     case = quadratic()
     vectors = torch.full((1, 9), 0.05, dtype=torch.float64)
-    plain = evaluate(case, vectors)
-    case.weight = 2.0
-    images = case.render(case.layout.unflatten(case.layout.flatten(case.initial) + vectors))
-    distance = (images - case.original).square().sum()
-    torch.testing.assert_close(evaluate(case, vectors) - plain, 2.0 * distance[None], rtol=1e-9, atol=0)
+    plain = case.objectives(vectors, 2)
+    distance = (case.render(vectors) - case.original).square().sum()
+    weighed = replace(case, distance_weight=2.0).objectives(vectors, 2)
+    torch.testing.assert_close(weighed - plain, 2.0 * distance[None], rtol=1e-9, atol=0)
 
 
 def test_the_gradient_is_the_means() -> None:
@@ -68,12 +64,13 @@ def test_the_gradient_is_the_means() -> None:
     at = 0.02 * torch.arange(9, dtype=torch.float64)
     leaf = at.clone().requires_grad_()
     (truth,) = torch.autograd.grad(leads(case, leaf), leaf)
-    view = case.view(case.layout.unflatten(at), gradient=True)
-    sampled = sample(case, view, gradient=True)
-    own = gradients(case, view, case.logits(view.images))
-    found = case.layout.flatten(mean_gradients(own, sampled))
+    found = differentiate(case, evaluate(case, at, 2, gradient=True)).gradient
+    alone = replace(case, expectation=None)
+    own = differentiate(alone, evaluate(alone, at, 2, gradient=True)).gradient
+    assert found is not None
+    assert own is not None
     assert float((found - truth).norm() / truth.norm()) < 0.02
-    assert float((case.layout.flatten(own) - truth).norm() / truth.norm()) > 0.04  # the scene's alone is another one
+    assert float((own - truth).norm() / truth.norm()) > 0.04  # the scene's alone is another one
 
 
 def test_variations_depend_on_seed_and_step_alone_and_fill_the_range() -> None:
@@ -102,29 +99,29 @@ def test_the_numbers_of_a_variation_are_independent() -> None:
     assert float((torch.corrcoef(values) - torch.eye(5)).abs().max()) < 4.5 / 20
 
 
-def attack(name: str, expectation: Expectation | None) -> AttackState:
+def attacked(name: str, expectation: Expectation | None) -> AttackRun:
     renderer = Pixels(dtype=torch.float32)
     given = {"method": name, "renderer": "image", "epsilon": {"image": 0.05}, "steps": 6, "expectation": expectation}
-    settings = ATTACKS[name].settings.model_validate(given)
+    settings = ATTACKS[name].model_validate(given)
     case = problem(
         renderer, Ahead(renderer), loss=settings.objective, epsilon=settings.epsilon, expectation=expectation
     )
-    method = ATTACKS[name].method(settings, case)
-    return run(case, method, Verifier(case.renderer, case.target), Budget(6))
+    return attack(case, settings)
 
 
 @pytest.mark.parametrize("name", ["fgsm", "apgd", "spsa", "cma-es", "p-rgf", "square", "zoo"])
 def test_every_kind_of_method_averages_and_repeats_itself(name: str) -> None:
-    first, second, plain = attack(name, NOISE), attack(name, NOISE), attack(name, None)
+    first, second, plain = attacked(name, NOISE), attacked(name, NOISE), attacked(name, None)
     assert torch.equal(first.stored["image"], second.stored["image"])
     assert all(row.share == 0.0 for row in first.trace)
     assert plain.trace[0].share is None
     assert first.trace[1].queries > plain.trace[1].queries
-    assert first.stored_step == max(range(7), key=lambda step: -(first.trace[step].objective or 0.0))
+    assert first.best is not None
+    assert first.best.step == max(range(7), key=lambda step: -(first.trace[step].objective or 0.0))
 
 
 def test_no_samples_attack_the_scene_alone() -> None:
-    alone, plain = attack("apgd", Expectation(noise=8.0, samples=0)), attack("apgd", None)
+    alone, plain = attacked("apgd", Expectation(noise=8.0, samples=0)), attacked("apgd", None)
     assert torch.equal(alone.stored["image"], plain.stored["image"])
     assert (alone.trace[-1].queries, alone.trace[-1].share) == (plain.trace[-1].queries, None)
 
@@ -132,12 +129,11 @@ def test_no_samples_attack_the_scene_alone() -> None:
 def test_backtracking_keeps_to_the_limit_of_the_scene_itself() -> None:
     """Under noise of 8/255 no image is within p = 0.02 of the original, not even that of no perturbation."""
     case = problem(Pixels(dtype=torch.float32), expectation=NOISE, perceptibility=0.02)
-    case.draw(0)
-    whole = {"image": torch.full((4, 5, 3), 0.01)}  # p = 0.0173
-    with case.under(case.variations[0]):
-        assert torch.equal(case.view(whole).perturbation["image"], whole["image"])
-        shorter = case.view({"image": 10 * whole["image"]}).perturbation["image"]
-    assert 0.019 < float(shorter.square().sum(-1).mean().sqrt()) <= 0.02
+    whole = torch.full((60,), 0.01)  # p = 0.0173
+    [sample, *_] = evaluate(case, whole, 0).samples
+    assert torch.equal(sample.delta, whole)
+    [sample, *_] = evaluate(case, 10 * whole, 0).samples
+    assert 0.019 < float((sample.delta.square().sum() / 20).sqrt()) <= 0.02
 
 
 class Threshold(LinearTarget):
@@ -157,16 +153,17 @@ def test_it_stops_only_once_all_variations_of_a_step_are_fooled() -> None:
     renderer = Pixels(dtype=torch.float32)
     start = float(renderer.base.mean())
     asked = Expectation(noise=24, samples=8)
-    settings = ATTACKS["fgsm"].settings.model_validate(
+    settings = ATTACKS["fgsm"].model_validate(
         {"method": "fgsm", "renderer": "image", "steps": 60, "expectation": asked, "learning_rate": {"image": 1 / 255}}
     )
     case = problem(renderer, Threshold(start + 2.5 / 255), expectation=asked)
-    found = run(case, ATTACKS["fgsm"].method(settings, case), Verifier(renderer, case.target), Budget(60))
+    found = attack(case, settings)
+    assert found.best is not None
     met = [row.step for row in found.trace if row.advantage < 0]
     assert found.verified
     assert met[0] < found.step
     assert [row.share == 1.0 and row.advantage < 0 for row in found.trace] == [False] * found.step + [True]
-    assert found.stored_step == found.step
+    assert found.best.step == found.step
 
 
 SCENE = {
@@ -189,21 +186,20 @@ def test_the_mean_gradient_through_pyrender_is_that_of_the_mean_objective() -> N
     """Differences of images and differences of the mean objective are two ways to the same gradient."""
     renderer = build(resolve(Scene.model_validate(SCENE), LIBRARY), "pyrender", None, ("color", "camera"), "exact")
     target, asked = Linear(), Expectation(azimuth=8, distance=0.1, samples=2)
-    case = AttackProblem(
+    case = AttackProblem.of(
         renderer, target, ResolvedGoal((0,), None), ("color",), seed=3, loss="margin", expectation=asked
     )
-    case.draw(0)
-    case.differences = ImageDifferences(case, {"color": 0.01})
-    view = case.view(case.nothing(), gradient=True)
-    own = gradients(case, view, case.logits(view.images))
-    queries = case.queries
-    found = case.layout.flatten(mean_gradients(own, sample(case, view, gradient=True)))
-    assert case.queries - queries == 2
+    case = replace(case, differences=ImageDifferences.at(case, {"color": 0.01}))
+    found = differentiate(case, evaluate(case, case.nothing, 0, gradient=True)).gradient
+    assert case.counts.queries == 1 + 2
+    scene = replace(case, expectation=None)
+    own = differentiate(scene, evaluate(scene, case.nothing, 0, gradient=True)).gradient
+    assert found is not None
+    assert own is not None
     steps = torch.full((3,), 0.01, dtype=torch.float64)
-    truth = estimate(case, case.layout.flatten(case.nothing()), torch.arange(3), steps, 0.0).gradients
+    truth = estimate(case, case.nothing, torch.arange(3), steps, 0.0).gradients
     torch.testing.assert_close(found.double(), truth, rtol=0.02, atol=0.02 * float(truth.abs().max()))
-    alone = case.layout.flatten(own).double()
-    assert float((alone - truth).norm() / truth.norm()) > 0.05
+    assert float((own.double() - truth).norm() / truth.norm()) > 0.05
 
 
 def test_noise_is_the_same_for_all_images_of_a_batch_and_is_kept_in_range() -> None:

@@ -1,18 +1,18 @@
 """Settings that all attacks share, and how attacks are registered."""
 
 from math import nan
-from typing import Literal
+from typing import ClassVar, Literal
 
 import pytest
 from pydantic import BaseModel
 
-from services.attacks.attack import ATTACKS, AttackSettings, register
+from services.attacks.attack import ATTACKS, Attack, State, register
 from services.attacks.fgsm import Fgsm
 from services.attacks.zoo import Zoo
 
 
 def test_the_built_in_attacks_are_found() -> None:
-    found = {name: (one.settings, one.needs_gradient) for name, one in ATTACKS.items()}
+    found = {name: (one, one.needs_gradient) for name, one in ATTACKS.items()}
     assert (found["fgsm"], found["zoo"]) == ((Fgsm, True), (Zoo, False))
 
 
@@ -51,61 +51,58 @@ def test_the_weight_of_the_distance_is_the_methods_own() -> None:
     assert Zoo.model_validate({"weight": 0.25}).distance_weight == 0.25
 
 
-class NoMethod:
-    needs_gradient = False
+class Complete(Attack):
+    """All that a method needs, but for its name."""
+
+    needs_gradient: ClassVar[bool] = False
+
+    def init(self, problem: object) -> State:
+        return {}
+
+    def step(self, problem: object, state: State, evaluation: object) -> State:
+        return state
 
 
-def test_settings_without_a_name_and_classes_without_a_method_are_refused() -> None:
-    class Nameless(AttackSettings):
-        method: str = "nameless"
-
-    class Named(AttackSettings):
-        method: Literal["named"] = "named"
-
-    with pytest.raises(ValueError, match=r'method: Literal\["its-name"\]'):
-        register(Nameless)
-    with pytest.raises(ValueError, match="NoMethod has no start and no advance and no state and no load"):
-        register(Named)(NoMethod)
-    assert "named" not in ATTACKS
+class Nameless(Complete):
+    method: str = "nameless"
 
 
-class Method:
-    needs_gradient = False
-
-    def start(self) -> None: ...
-    def advance(self) -> None: ...
-    def state(self) -> None: ...
-    def load(self) -> None: ...
+class Idle(Attack):
+    needs_gradient: ClassVar[bool] = False
+    method: Literal["idle"] = "idle"
 
 
-def test_settings_that_requests_could_not_use_are_refused() -> None:
-    class Plain(BaseModel):
-        method: Literal["plain"] = "plain"
-
-    class Odd(AttackSettings):
-        method: Literal["odd"] = "odd"
-        spread: float = nan
-
-    class Late(AttackSettings):
-        method: Literal["late"] = "late"
-
-    class Property(Method):
-        @property
-        def needs_gradient(self) -> bool:  # type: ignore[override]
-            return False
-
-    with pytest.raises(ValueError, match="Plain does not derive from AttackSettings"):
-        register(Plain)  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match="the default of spread is nan"):
-        register(Odd)(Method)
-    with pytest.raises(ValueError, match=r"Property.needs_gradient is a property, not a bool"):
-        register(Late)(Property)
-    assert not {"plain", "odd", "late"} & set(ATTACKS)
+class Plain(BaseModel):
+    method: Literal["plain"] = "plain"
 
 
-def test_settings_of_the_same_class_name_are_refused() -> None:
-    """The component Fgsm of the OpenAPI document got the name of its module, which clients do not know."""
-    other = type("Fgsm", (AttackSettings,), {"__annotations__": {"method": Literal["other"]}, "method": "other"})
-    with pytest.raises(ValueError, match="there are settings Fgsm already"):
-        register(other)(Method)
-    assert "other" not in ATTACKS
+class Odd(Complete):
+    method: Literal["odd"] = "odd"
+    spread: float = nan
+
+
+class Vague(Complete):
+    method: Literal["vague"] = "vague"
+    needs_gradient: ClassVar[str] = "perhaps"  # type: ignore[assignment]
+
+
+Fgsm2 = type("Fgsm", (Complete,), {"__annotations__": {"method": Literal["other"]}, "method": "other"})
+"""The component Fgsm of the OpenAPI document got the name of its module, which clients do not know."""
+
+
+@pytest.mark.parametrize(
+    ("attack", "words"),
+    [
+        (Nameless, r'method: Literal\["its-name"\]'),
+        (Idle, "Idle has no init and no step"),
+        (Plain, "Plain does not derive from Attack"),
+        (Odd, "the default of spread is nan"),
+        (Vague, "Vague.needs_gradient is no bool"),
+        (Fgsm2, "there is an attack Fgsm already"),
+    ],
+)
+def test_what_requests_could_not_use_is_refused(attack: type[Attack], words: str) -> None:
+    before = set(ATTACKS)
+    with pytest.raises(ValueError, match=words):
+        register(attack)
+    assert set(ATTACKS) == before

@@ -1,8 +1,8 @@
 import pytest
 import torch
 
-from services.attacks.spsa import Spsa, SpsaMethod, draw_directions, estimate
-from tests.unit.attacks.small import LinearRenderer, autograd, problem, smooth
+from services.attacks.spsa import Spsa, draw_directions, estimate
+from tests.unit.attacks.small import LinearRenderer, autograd, problem, smooth, stepped
 
 pytestmark = pytest.mark.slow
 
@@ -67,18 +67,19 @@ def settings(**given: object) -> Spsa:
 
 def test_a_step_asks_for_two_images_a_direction_and_the_objective_falls() -> None:
     case = smooth()
-    method = SpsaMethod(settings(), case)
+    state = settings().init(case)
     begin = float(case.goal.advantage(case.target.logits(case.original)))
     for step in range(60):
-        queries = case.queries
-        method.advance(case, case.view(method.perturbation), step)
-        assert case.queries - queries == 10
-    assert float(case.goal.advantage(case.target.logits(case.view(method.perturbation).images))) < 0.5 * begin
+        queries = case.counts.queries
+        state = stepped(case, settings(), state, step)
+        assert case.counts.queries - queries == 1 + 10  # the loop's own look, and the step's
+    assert float(case.goal.advantage(case.target.logits(case.render(state["delta"][None])))) < 0.5 * begin
 
 
 def test_adam_moves_as_torch_has_it_on_the_mean_estimate() -> None:
     case = smooth()
-    method = SpsaMethod(settings(learning_rate={"a": 0.01, "b": 0.03}), case)
+    spsa = settings(learning_rate={"a": 0.01, "b": 0.03})
+    state = spsa.init(case)
     leaves = [torch.zeros(6, dtype=torch.float64), torch.zeros(3, dtype=torch.float64)]
     adam = torch.optim.Adam(
         [{"params": leaves[:1], "lr": 0.01}, {"params": leaves[1:], "lr": 0.03}], betas=(0.9, 0.999), eps=1e-12
@@ -89,16 +90,5 @@ def test_adam_moves_as_torch_has_it_on_the_mean_estimate() -> None:
         gradient = estimate(case, at, draw_directions("signs", 5, 9, 0, step), half_steps, gaussian=False).mean(dim=0)
         leaves[0].grad, leaves[1].grad = gradient[:6], gradient[6:]
         adam.step()
-        method.advance(case, case.view(method.perturbation), step)
-        torch.testing.assert_close(method.delta, torch.cat(leaves), rtol=1e-6, atol=1e-9)
-
-
-def test_its_state_continues_where_it_was() -> None:
-    case = smooth()
-    whole, rest = SpsaMethod(settings(), case), SpsaMethod(settings(), case)
-    for step in range(8):
-        if step == 3:
-            rest.load({name: value.clone() for name, value in whole.state().items()})
-        for method in (whole, rest) if step >= 3 else (whole,):
-            method.advance(case, case.view(method.perturbation), step)
-    assert torch.equal(whole.delta, rest.delta)
+        state = stepped(case, spsa, state, step)
+        torch.testing.assert_close(state["delta"], torch.cat(leaves), rtol=1e-6, atol=1e-9)

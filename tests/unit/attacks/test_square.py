@@ -3,37 +3,38 @@ from dataclasses import replace
 import pytest
 import torch
 
-from services.attacks.apgd import Apgd, ApgdMethod
-from services.attacks.masking import check_masking
-from services.attacks.problem import AttackProblem
-from services.attacks.run import AttackState, Budget, Verifier, run
-from services.attacks.square import Square, SquareMethod, square_side
-from tests.unit.attacks.small import Ahead, LinearTarget, Pixels, guided, problem
+from services.attacks.apgd import Apgd
+from services.attacks.attack import State
+from services.attacks.problem import AttackProblem, evaluate
+from services.attacks.run import AttackRun, Verifier, check_masking
+from services.attacks.square import Square, square_side
+from tests.unit.attacks.small import Ahead, LinearTarget, Pixels, attack, problem, stepped
 
 EPSILON = 4 / 255
 STEPS = 60
 
 
-def held(seed: int) -> tuple[AttackState, AttackProblem]:
+def held(seed: int) -> tuple[AttackRun, AttackProblem]:
     """An attack that takes all its steps."""
     renderer = Pixels()
     target = Ahead(renderer)
     case = problem(renderer, target, loss="margin", epsilon={"image": EPSILON}, seed=seed)
     settings = Square.model_construct(epsilon={"image": EPSILON}, steps=STEPS, share=0.8)
-    return run(case, SquareMethod(settings, case), Verifier(renderer, target), Budget(STEPS)), case
+    return attack(case, settings), case
 
 
 def test_a_step_is_one_query() -> None:
     found, case = held(0)
     assert found.stopped == "steps"
     assert [row.queries for row in found.trace] == list(range(1, STEPS + 2))
-    assert case.queries == STEPS + 1
+    assert case.counts.queries == STEPS + 1
 
 
 def test_it_keeps_what_lowers_the_objective_and_every_pixel_is_at_a_limit() -> None:
     found, case = held(1)
     least = min(row.advantage for row in found.trace[1:])
-    assert found.trace[found.stored_step].advantage == least < found.trace[1].advantage
+    assert found.best is not None
+    assert found.trace[found.best.step].advantage == least < found.trace[1].advantage
     moved = found.stored["image"]
     at_limit = (moved.abs() - EPSILON).abs() < 1e-9
     at_edge = (case.original[0] + moved <= 1e-9) | (case.original[0] + moved >= 1 - 1e-9)
@@ -43,21 +44,21 @@ def test_it_keeps_what_lowers_the_objective_and_every_pixel_is_at_a_limit() -> N
 def test_the_first_image_has_vertical_stripes() -> None:
     renderer, target = Pixels(), LinearTarget()
     case = problem(renderer, target, epsilon={"image": EPSILON})
-    method = SquareMethod(Square.model_construct(epsilon={"image": EPSILON}, steps=10, share=0.8), case)
-    method.advance(case, case.view(method.perturbation), 0)
-    stripes = method.perturbation["image"]
+    square = Square.model_construct(epsilon={"image": EPSILON}, steps=10, share=0.8)
+    stripes = stepped(case, square, square.init(case), 0)["delta"].reshape(4, 5, 3)
     assert bool((stripes == stripes[:1]).all())
     assert len(stripes.sign().unique()) == 2
 
 
 def test_a_proposal_is_the_best_but_for_one_square_of_one_sign_a_channel() -> None:
     again = problem(Pixels(), LinearTarget(), loss="margin", epsilon={"image": EPSILON})
-    method = SquareMethod(Square.model_construct(epsilon={"image": EPSILON}, steps=10_000, share=0.1), again)
+    square = Square.model_construct(epsilon={"image": EPSILON}, steps=10_000, share=0.1)
+    state = square.init(again)
     for step in range(40):
-        method.advance(again, guided(again, method.perturbation), step)
+        state = stepped(again, square, state, step)
         if step == 0:
             continue
-        changed = (method.tried["image"] != method.best["image"]).any(-1).nonzero()
+        changed = (state["delta"] != state["best"]).reshape(4, 5, 3).any(-1).nonzero()
         if len(changed):  # a square may find its pixels at that sign already
             low, high = changed.amin(0), changed.amax(0)
             assert int((high - low).max()) < square_side(0.1, step - 1, 10_000, (4, 5))
@@ -66,20 +67,21 @@ def test_a_proposal_is_the_best_but_for_one_square_of_one_sign_a_channel() -> No
 def test_the_signs_of_a_square_are_drawn_for_each_channel_and_only_what_is_better_is_kept() -> None:
     """As in the authors' code: of a square that changes nothing of the objective, the one before stays."""
     case = problem(Pixels(), LinearTarget(), loss="margin", epsilon={"image": EPSILON})
-    method = SquareMethod(Square.model_construct(epsilon={"image": EPSILON}, steps=10_000, share=0.1), case)
-    method.advance(case, case.view(method.perturbation), 0)
-    view = replace(case.view(method.perturbation), objective=1.0)
-    method.advance(case, view, 1)
-    first, mixed = method.best["image"].clone(), 0
+    square = Square.model_construct(epsilon={"image": EPSILON}, steps=10_000, share=0.1)
+
+    def stepped_at(objective: float, state: State, step: int) -> State:
+        return square.step(case, state, replace(evaluate(case, state["delta"], step), objective=objective))
+
+    state = stepped_at(1.0, stepped_at(1.0, square.init(case), 0), 1)
+    first, mixed = state["best"], 0
     for step in range(2, 30):
-        signs = (method.tried["image"] - first).sign().flatten(0, 1)
+        signs = (state["delta"] - first).sign()
         mixed += bool((signs > 0).any() & (signs < 0).any())
-        method.advance(case, replace(case.view(method.perturbation), objective=1.0), step)
-        assert torch.equal(method.best["image"], first)
+        state = stepped_at(1.0, state, step)
+        assert torch.equal(state["best"], first)
     assert mixed > 5
-    better = method.tried["image"].clone()
-    method.advance(case, replace(case.view(method.perturbation), objective=0.9), 30)
-    assert torch.equal(method.best["image"], better)
+    better = state["delta"]
+    assert torch.equal(stepped_at(0.9, state, 30)["best"], better)
 
 
 def test_the_stripes_are_no_step_of_the_schedule(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -92,10 +94,8 @@ def test_the_stripes_are_no_step_of_the_schedule(monkeypatch: pytest.MonkeyPatch
 
     monkeypatch.setattr("services.attacks.square.square_side", side)
     case = problem(Pixels(), LinearTarget(), loss="margin", epsilon={"image": EPSILON})
-    method = SquareMethod(Square.model_construct(epsilon={"image": EPSILON}, steps=9, share=0.1), case)
-    for step in range(4):
-        method.advance(case, guided(case, method.perturbation), step)
-    assert asked == [(0, 9), (1, 9), (2, 9)]
+    attack(case, Square.model_construct(epsilon={"image": EPSILON}, steps=9, share=0.1), steps=4)
+    assert asked[-3:] == [(0, 4), (1, 4), (2, 4)]
 
 
 @pytest.mark.parametrize(
@@ -109,18 +109,9 @@ def test_squares_shrink_as_in_the_authors_code(step: int, side: int) -> None:
     assert square_side(1e-9, 0, 10, (4, 5)) == 1
 
 
-def test_the_same_seed_gives_the_same_attack_and_state_continues() -> None:
+def test_the_same_seed_gives_the_same_attack() -> None:
     assert torch.equal(held(3)[0].stored["image"], held(3)[0].stored["image"])
     assert not torch.equal(held(3)[0].stored["image"], held(4)[0].stored["image"])
-    _, case = held(0)
-    settings = Square.model_construct(epsilon={"image": EPSILON}, steps=30, share=0.8)
-    whole, rest = SquareMethod(settings, case), SquareMethod(settings, case)
-    for step in range(20):
-        if step == 9:
-            rest.load({name: value.clone() for name, value in whole.state().items()})
-        for method in (whole, rest) if step >= 9 else (whole,):
-            method.advance(case, guided(case, method.perturbation), step)
-    assert torch.equal(whole.tried["image"], rest.tried["image"])
 
 
 def test_it_fools_a_network_whose_gradient_is_zero() -> None:
@@ -132,11 +123,9 @@ def test_it_fools_a_network_whose_gradient_is_zero() -> None:
 
     renderer, target, limits = Pixels(), Stairs(scale=3.0), {"image": EPSILON}
     found = {}
-    for name, method in (("apgd", ApgdMethod), ("square", SquareMethod)):
+    for kind in (Apgd, Square):
         case = problem(renderer, target, loss="margin", epsilon=limits)
-        settings = Square if name == "square" else Apgd
-        chosen = settings.model_construct(epsilon=limits, steps=STEPS)
-        found[name] = run(case, method(chosen, case), Verifier(renderer, target), Budget(STEPS))  # type: ignore[arg-type]
+        found[kind.__name__.lower()] = attack(case, kind.model_construct(epsilon=limits, steps=STEPS))
     assert not found["apgd"].fooled
     assert found["apgd"].trace[-1].below_noise == 1
     assert found["square"].verified
@@ -147,9 +136,8 @@ def test_the_masking_check_is_square_within_the_same_limits_and_counts_what_it_a
         renderer = Pixels()
         target = LinearTarget(scale=scale) if outcome == "fooled" else Ahead(renderer)
         case = problem(renderer, target, epsilon={"image": EPSILON})
-        verifier = Verifier(renderer, target)
-        found = check_masking(case, verifier, 30)
+        apgd = Apgd.model_construct(epsilon={"image": EPSILON}, steps=1)
+        found = check_masking(AttackRun.begin_or_resume(case, apgd, Verifier.of(case)), 30)
         assert found["square"] == outcome
-        assert case.queries == found["queries"] + 1  # type: ignore[operator]
-        assert verifier.queries == (outcome == "fooled")
+        assert case.counts.queries == found["queries"] + 1 + (outcome == "fooled")  # type: ignore[operator]
         assert found["queries"] == 30 or outcome == "fooled"

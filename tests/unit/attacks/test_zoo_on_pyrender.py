@@ -1,14 +1,18 @@
 """ZOO through the real pyrender renderer: coordinates that change nothing are left out, and only those."""
 
+from pathlib import Path
+
+import pytest
 import torch
 
 from services.attacks.differences import estimate
 from services.attacks.goal import ResolvedGoal
 from services.attacks.problem import AttackProblem
-from services.attacks.zoo import Zoo, ZooMethod
+from services.attacks.run import AttackRun, Verifier
+from services.attacks.zoo import Zoo
 from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
 from services.scenes.description import Lights, PointLight
-from tests.unit.attacks.small import LinearTarget
+from tests.unit.attacks.small import LinearTarget, attack, stepped
 from tests.unit.rendering.shapes import mesh, placed, quad, scene
 
 BEHIND = PointLight(energy=15.0, position=(0.3, 0.2, -1.0))
@@ -20,7 +24,7 @@ def problem(*lights: PointLight) -> AttackProblem:
     description = scene((4, 5), lights=Lights(ambient=0.3, points=lights))
     renderer = PyrenderRenderer(placed(description, mesh(quad(0.5, color=(0.4, 0.5, 0.6, 1)))))
     groups = renderer.plan.groups
-    return AttackProblem(renderer, LinearTarget(), ResolvedGoal((0,), None), groups)  # type: ignore[arg-type]
+    return AttackProblem.of(renderer, LinearTarget(), ResolvedGoal((0,), None), groups)  # type: ignore[arg-type]
 
 
 def settings(**changes: object) -> Zoo:
@@ -30,55 +34,52 @@ def settings(**changes: object) -> Zoo:
 
 def test_skipped_coordinates_are_listed_and_not_asked_about() -> None:
     case = problem(BEFORE, BEHIND)
-    method = ZooMethod(settings(), case)
-    found = method.start(case)
+    state = settings().init(case)
+    found = settings().measured(case, state)
     assert {one["coordinate"] for one in found["skipped"]} == SKIPPED  # type: ignore[attr-defined]
-    asked = case.queries
-    method.advance(case, case.view(method.perturbation), 0)
-    assert case.queries - asked == 2 * (18 - 4)
-    assert (method.delta[5:9] == 0).all()
+    asked = case.counts.queries
+    state = stepped(case, settings(), state, 0)
+    assert case.counts.queries - asked == 1 + 2 * (18 - 4)  # the loop's own look is the first
+    assert (state["delta"][5:9] == 0).all()
 
 
 def test_the_budget_goes_to_the_others() -> None:
     case = problem(BEFORE, BEHIND)
-    method = ZooMethod(settings(coordinates=14), case)
-    method.start(case)
-    asked = case.queries
-    method.advance(case, case.view(method.perturbation), 0)
-    assert case.queries - asked == 28
-    assert (method.moves > 0).sum() + (method.delta == 0).sum() >= 14
+    zoo = settings(coordinates=14)
+    state = zoo.init(case)
+    asked = case.counts.queries
+    state = stepped(case, zoo, state, 0)
+    assert case.counts.queries - asked == 1 + 28
+    assert (state["moves"] > 0).sum() + (state["delta"] == 0).sum() >= 14
 
 
 def test_skipping_loses_nothing_and_keeping_is_needed() -> None:
     """Every skipped coordinate has a gradient of zero; leaving a kept one out would lose its gradient."""
     case = problem(BEFORE, BEHIND)
-    method = ZooMethod(settings(), case)
-    method.start(case)
+    state = settings().init(case)
     total = case.layout.total
-    gradients = estimate(case, torch.zeros(total), torch.arange(total), method.half_steps, 0.0).gradients
-    assert (gradients[method.inactive] == 0).all()
-    kept = gradients[~method.inactive]
+    gradients = estimate(case, torch.zeros(total), torch.arange(total), state["half_steps"], 0.0).gradients
+    assert (gradients[state["inactive"]] == 0).all()
+    kept = gradients[~state["inactive"]]
     # of a square that is centred in view and faces the camera: turning it about z or x and y is seen, like all else
     assert (kept != 0).sum() >= 12
 
 
 def test_a_coordinate_that_comes_to_matter_is_taken_up() -> None:
     case = problem(BEFORE, BEHIND)
-    method = ZooMethod(settings(), case)
-    method.start(case)
-    method.delta[case.layout.starts["translation"] + 2] = -2.0  # the square moves behind the light
-    asked = case.queries
-    method.advance(case, case.view(method.perturbation), 0)
-    assert case.queries - asked == 36
+    state = settings().init(case)
+    state["delta"][case.layout.starts["translation"] + 2] = -2.0  # the square moves behind the light
+    asked = case.counts.queries
+    stepped(case, settings(), state, 0)
+    assert case.counts.queries - asked == 1 + 36
 
 
-def test_what_is_skipped_survives_a_restart() -> None:
+def test_what_is_skipped_survives_a_restart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("services.attacks.run.EVERY", -1.0)  # after every step
+    zoo, path = settings(coordinates=5), tmp_path / "checkpoint"
+    whole, _ = attack(problem(BEFORE, BEHIND), zoo, steps=2), attack(problem(BEFORE, BEHIND), zoo, path, steps=1)
     case = problem(BEFORE, BEHIND)
-    whole, rest = ZooMethod(settings(coordinates=5), case), ZooMethod(settings(coordinates=5), case)
-    whole.start(case)
-    whole.advance(case, case.view(whole.perturbation), 0)
-    rest.load({name: value.clone() for name, value in whole.state().items()})
-    for method in (whole, rest):
-        method.advance(case, case.view(method.perturbation), 1)
-    assert torch.equal(whole.delta, rest.delta)
-    assert whole.inactive.any()
+    resumed = AttackRun.begin_or_resume(case, zoo, Verifier.of(case), path)
+    assert resumed.state["inactive"].any()
+    state = stepped(case, zoo, resumed.state, 1)
+    assert torch.equal(whole.state["delta"], state["delta"])

@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch.nn.functional import cosine_similarity
 
-from services.attacks.differences import clamped, estimate
+from services.attacks.differences import estimate
 from services.attacks.goal import ResolvedGoal
 from services.attacks.problem import AttackProblem
 from services.rendering.opengl.gbuffer import rasterise
@@ -27,7 +27,7 @@ SCENE = {
 }
 
 
-def build(group: str, weight: float = 0.1) -> AttackProblem:
+def build(group: str, distance_weight: float = 0.1) -> AttackProblem:
     scene = resolve(Scene.model_validate(SCENE), LIBRARY)
     renderer = TorchRenderer(scene, rasterise(scene), tolerance="exact")
     target = registry.load("efficientnet-lite0", torch.float64)
@@ -36,14 +36,14 @@ def build(group: str, weight: float = 0.1) -> AttackProblem:
     with torch.no_grad():
         start = {g: v[None] for g, v in renderer.initial().items()}
         first = int(target.logits(renderer.render(start)).argmax())
-    return AttackProblem(renderer, target, ResolvedGoal((first,), None), (group,), weight=weight)
+    goal = ResolvedGoal((first,), None)
+    return AttackProblem.of(renderer, target, goal, (group,), distance_weight=distance_weight)
 
 
 def at_random(problem: AttackProblem) -> torch.Tensor:
     """A small perturbation within bounds: at zero the λ term has no slope, and would not be tested."""
-    where = problem.layout
-    at = 0.5 * torch.randn(1, where.total, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
-    return clamped(problem, at)[0]
+    random = torch.Generator().manual_seed(0)
+    return problem.limits.clamp(0.5 * torch.randn(problem.layout.total, dtype=torch.float64, generator=random))
 
 
 @pytest.mark.parametrize("group", ["illumination", "material"])
@@ -51,7 +51,7 @@ def test_the_estimate_is_the_gradient(group: str) -> None:
     problem = build(group)
     at = at_random(problem)
     truth = autograd(problem, at)
-    free = (problem.initial[group].flatten() + at > 1e-3).nonzero().flatten() if group == "illumination" else None
+    free = (problem.initial + at > 1e-3).nonzero().flatten() if group == "illumination" else None
     order = truth.abs().argsort(descending=True)[::6]  # a sixth of the coordinates, large gradients and small
     chosen = order if free is None else order[torch.isin(order, free)]  # at a bound the difference is one-sided
     found = estimate(problem, at, chosen, torch.full((len(chosen),), 1e-4).double(), 0.0).gradients

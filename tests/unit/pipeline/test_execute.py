@@ -1,6 +1,7 @@
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,7 @@ import torch
 from safetensors.torch import load_file
 
 from services.analysis.images import load_png
-from services.attacks.run import AttackState, run
+from services.attacks.run import AttackRun, run_attack
 from services.attacks.verdict import held_within
 from services.errors import Cancelled
 from services.pipeline.execute import Progress, execute
@@ -208,27 +209,27 @@ def test_the_verdict_is_of_the_images_rendered_afresh_whatever_the_loop_says(
     """
     attack = {"renderer": "torch", "groups": ["normals"], "truncation": 1, "learning_rate": {"normals": 1e-4}}
     truth = execute(spec(attack), tmp_path / "first", LIBRARY).original.label
-    claimed: list[AttackState] = []
+    claimed: list[AttackRun] = []
 
-    def claims(*args: Any, **options: Any) -> AttackState:
-        found = run(*args, **options)
-        found.stored = {group: torch.zeros_like(value) for group, value in found.stored.items()}
-        found.fooled = found.verified = True
-        found.stored_step, found.scores = 1, found.scores.roll(1)
-        found.ever[:3, :2] = True
-        claimed.append(found)
-        return found
+    def claims(run: AttackRun) -> AttackRun:
+        best = run_attack(run).best
+        assert best is not None
+        run.best = replace(best, step=1, delta=torch.zeros_like(best.delta), scores=best.scores.roll(1))
+        run.fooled = run.verified = True
+        run.ever_truncated[:3, :2] = True
+        claimed.append(run)
+        return run
 
-    monkeypatch.setattr("services.pipeline.execute.run", claims)
+    monkeypatch.setattr("services.pipeline.execute.run_attack", claims)
     result = execute(spec(attack, goal={"truth": truth}), tmp_path / "right", LIBRARY)
     found = claimed[-1]
-    assert found.step == 3 > found.stored_step
-    assert int(found.ever.sum()) > found.trace[-1].truncated
+    assert found.step == 3
+    assert int(found.ever_truncated.sum()) > found.trace[-1].truncated
     assert (result.outcome, result.verified, result.right_before) == ("held", False, True)
     assert result.fooled  # what the loop believed stands beside the verdict
     assert result.in_loop.label != result.attacked.label == truth
     assert (result.step, result.steps) == (1, 3)
-    assert result.truncated == int(found.ever.sum())
+    assert result.truncated == int(found.ever_truncated.sum())
     assert (result.perceptibility, result.float_perceptibility) == (0.0, 0.0)
     unknown = execute(spec(attack), tmp_path / "unknown", LIBRARY)
     assert (unknown.outcome, unknown.in_loop.label) == ("held", result.in_loop.label)

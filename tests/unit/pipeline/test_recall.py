@@ -157,7 +157,7 @@ def _asked(target: Classifier, times: int = 2) -> int:
         target.logits = counted  # type: ignore[method-assign]
         for _ in range(times):
             found = prepare(spec(PIXELS, target={"name": "linear"}), LIBRARY)
-            assert (found.verifier.queries, found.verifier.renders) == (1, 1)
+            assert (found.verifier.counts.queries, found.verifier.counts.renders) == (1, 1)
             assert torch.equal(found.logits, logits(from_bytes(found.original)[None])[0])
     return looked
 
@@ -188,7 +188,7 @@ def test_a_network_of_an_object_with_slots_is_asked_every_time() -> None:
     with registry.registered(CARD, _Slotted()):
         for _ in range(2):
             found = prepare(spec(PIXELS, target={"name": "linear"}), LIBRARY)
-            assert found.verifier.queries == 1
+            assert found.verifier.counts.queries == 1
 
 
 def test_a_network_of_which_only_scores_are_known_is_asked_every_time() -> None:
