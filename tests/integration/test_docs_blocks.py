@@ -34,10 +34,9 @@ ELSEWHERE = {
     ("targets.md", ""): "tests/unit/docs/test_targets_page.py runs its files, which need each other; the weights of "
     "IEP are the reader's",
     ("README.md", "scripts/demo"): "it sets up the project; test_demo runs the demonstration",
-    ("quickstart.md", "scene-attack serve"): LISTED,
-    ("quickstart.md", "scene-attack campaign run"): LISTED,
-    ("quickstart.md", "scene-attack accuracy"): "minutes of measurements; tests of services/accuracy run their parts",
-    ("quickstart.md", "python -m training"): "hours; tests of training run their parts",
+    ("index.md", "scene-attack serve"): LISTED,
+    ("index.md", "scene-attack campaign run"): LISTED,
+    ("index.md", "scene-attack accuracy"): "minutes of measurements; tests of services/accuracy run their parts",
     ("campaigns.md", "scene-attack campaign list"): LISTED,
     (
         "operations.md",

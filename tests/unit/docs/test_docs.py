@@ -61,8 +61,8 @@ def test_page_of_fields_has_every_field_as_it_is_described(model: type[BaseModel
         assert field.description is None or f"| {field.description} |" in page
 
 
-def test_quickstart_has_every_command_and_every_example() -> None:
-    page = text("quickstart.md")
+def test_start_has_every_command_and_every_example() -> None:
+    page = text("index.md")
     for command in COMMANDS:
         if command not in ([], ["jobs"], ["assets"], ["accuracy"], ["campaign"], ["keys"]):
             assert f"scene-attack {' '.join(command)}" in page
