@@ -1,14 +1,19 @@
-"""What the work-precision report claims of shading, on its quick extent; a claim fails where its method is broken."""
+"""What the work-precision report claims, on a small extent that is measured once; a claim of shading fails where its
+method is broken."""
 
+import csv
 import dataclasses
+from itertools import pairwise, product
+from pathlib import Path
 
 import pytest
 import torch
 from torch import Tensor
 
 from services.accuracy.placing import placed
-from services.accuracy.work_precision import shading
-from services.accuracy.work_precision.report import PARTS, QUICK
+from services.accuracy.work_precision import scene_options, shading
+from services.accuracy.work_precision.attacks import success_rows
+from services.accuracy.work_precision.report import PARTS, QUICK, Report, measure, read
 from services.accuracy.work_precision.shading import (
     GROUPS,
     ShadingMethod,
@@ -31,14 +36,60 @@ pytestmark = pytest.mark.slow
 SMALL = ("furniture/soccer-ball", "brushed-metal", (64, 64), (8, 16))
 
 
+TINY = dataclasses.replace(QUICK, enough=0.0, scene=(24, 32), steps=2, zoo={"steps": 1, "delta": 1e-2})
+NAMES = ["matte objects", "rubber and metal", "floor", "shadows"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Measured:
+    """A report of every part, its folder, and the parts in the order in which they were begun."""
+
+    report: Report
+    folder: Path
+    parts: list[str]
+
+
 @pytest.fixture(scope="module")
-def rows() -> list[ShadingRow]:
-    return [ShadingRow.model_validate(measured) for measured in PARTS["shading"](QUICK)]
+def measured(tmp_path_factory: pytest.TempPathFactory) -> Measured:
+    folder = tmp_path_factory.mktemp("report")
+    parts: list[str] = []
+    return Measured(measure(TINY, folder, "a command", on_part=parts.append), folder, parts)
+
+
+@pytest.fixture(scope="module")
+def rows(measured: Measured) -> list[ShadingRow]:
+    return measured.report.shading
 
 
 @pytest.fixture(scope="module")
 def small() -> Subject:
     return subject(*SMALL)
+
+
+def test_the_report_says_everything(measured: Measured) -> None:
+    made, folder = measured.report, measured.folder
+    assert measured.parts == list(PARTS) == list(made.measured)
+    assert read(folder) == made
+    page = (folder / "work-precision.md").read_text("utf-8")
+    headings = [line for line in page.splitlines() if line.startswith("## ")]
+    assert headings == [
+        *("## Which tolerance", "## Plans", "## Types of number", "## Resolution of the environment map"),
+        *("## Resolution of shadows", "## Surfaces, floor and shadows", "## Signs that FGSM takes"),
+        *("## Work to a verified adversary", "## What is left out", "## How to make this page again"),
+    ]
+    for above, below in pairwise(headings):
+        section = page[page.index(above) : page.index(below)]
+        assert ("|---" in section) == (above not in ("## Which tolerance", "## What is left out")), above
+    assert f"`a command`, {made.measured['maps'].when}, " in page
+    rows = list(csv.DictReader((folder / "work-precision.csv").read_text("utf-8").splitlines()))
+    assert len(rows) == sum(len(getattr(made, part)) for part in PARTS) + len(list(success_rows(made.attacks)))
+    first = next(row for row in rows if row["part"] == "shading")
+    assert made.shading[0].both is not None
+    assert float(first["both.median"]) == made.shading[0].both.median
+    assert first["groups"] == "normals illumination material"
+
+
+# Shading
 
 
 def test_the_subject_is_the_renderers_scene(small: Subject) -> None:
@@ -140,3 +191,45 @@ def test_times_have_a_spread() -> None:
     times = repeated(lambda: sum(range(1000)), 0.0)
     assert times.repeats == 5
     assert 0 < times.shortest <= times.lower <= times.median <= times.upper
+
+
+# A scene's options
+
+
+def test_each_scene_has_one_more_option() -> None:
+    found = dict(scene_options.scenes(TINY.scene))
+    assert list(found) == NAMES
+    assert [of.floor is not None for of in found.values()] == [False, False, True, True]
+    assert [of.shadows is not None for of in found.values()] == [False, False, False, True]
+    for name, of in found.items():
+        assert {one.material for one in of.objects} <= ({"matte"} if name == NAMES[0] else {"rubber", "metal"})
+        assert all((one.metallic is None) == (name == NAMES[0]) for one in of.objects)
+
+
+def test_every_scene_is_measured_with_both_renderers_within_every_tolerance(measured: Measured) -> None:
+    rows = measured.report.scenes
+    wanted = list(product(NAMES, ("pyrender", "torch"), scene_options.TOLERANCES))
+    assert [(row.scene, row.renderer, row.tolerance) for row in rows] == wanted
+    for row in rows:
+        if row.tolerance == "exact":
+            assert row.largest == 0
+            continue
+        assert row.mean <= row.tolerance
+        if row.renderer == "torch":
+            assert 0 < row.largest <= row.estimate <= row.tolerance
+    height, width = TINY.scene
+    assert {row.pixels for row in rows if row.scene == "shadows"} == {height * width}  # the floor fills the image
+
+
+# Signs
+
+
+def test_signs_through_the_network_are_lost_by_rounding_not_by_the_plan(measured: Measured) -> None:
+    """Exactly and without rounding only the network's float32 is left. Within 1e-3, a quarter of a step of 8 bits, the
+    plan loses less than the 8 bits do."""
+    found = measured.report.signs
+    weight = {(row.group, row.tolerance, row.image): row.wrong_weight for row in found}
+    assert len(weight) == len(found) == 3 * 4 * 2
+    for group in GROUPS:
+        assert weight[group, "exact", "unrounded"] < 1e-3
+        assert weight[group, 1e-3, "unrounded"] < weight[group, "exact", "8 bit"] < 0.5

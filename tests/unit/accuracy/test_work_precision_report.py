@@ -1,8 +1,5 @@
-"""The work-precision report: its parts, measured together or alone, and its page, CSV and JSON."""
+"""The work-precision report of parts that were measured alone, of given rows."""
 
-import csv
-import dataclasses
-from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -10,48 +7,13 @@ from typer.testing import CliRunner
 
 from client.cli import app
 from services.accuracy.work_precision import scene_options
-from services.accuracy.work_precision.attacks import success_rows
-from services.accuracy.work_precision.report import PARTS, QUICK, Report, data, markdown, measure, read
+from services.accuracy.work_precision.report import QUICK, Report, data, markdown, measure, read
 from services.accuracy.work_precision.scene_options import MapRow, ShadowRow
 
-COMMITTED = Path(__file__).parents[3] / "docs" / "accuracy"
 MAP = MapRow(mesh="m", material="matte", map=(4, 8), reference=(64, 128), pixels=1, largest=0.5, rms=0.5)
 SHADOW = ShadowRow(
     scene="s", renderer="torch", fineness="1×1", reference="8×8", pixels=1, mean=0.25, largest=0.5, seconds=1.0
 )
-
-
-@pytest.mark.slow
-def test_the_report_says_everything(tmp_path: Path) -> None:
-    tiny = dataclasses.replace(
-        QUICK,
-        subjects=(("furniture/soccer-ball", "brushed-metal", (32, 32), ((16, 32),)),),
-        scene=(24, 32),
-        enough=0.0,
-        steps=2,
-        zoo={"steps": 1, "delta": 1e-2},
-    )
-    parts: list[str] = []
-    made = measure(tiny, tmp_path, "a command", on_part=parts.append)
-    assert parts == list(PARTS) == list(made.measured)
-    assert read(tmp_path) == made
-    page = (tmp_path / "work-precision.md").read_text("utf-8")
-    headings = [line for line in page.splitlines() if line.startswith("## ")]
-    assert headings == [
-        *("## Which tolerance", "## Plans", "## Types of number", "## Resolution of the environment map"),
-        *("## Resolution of shadows", "## Surfaces, floor and shadows", "## Signs that FGSM takes"),
-        *("## Work to a verified adversary", "## What is left out", "## How to make this page again"),
-    ]
-    for above, below in pairwise(headings):
-        section = page[page.index(above) : page.index(below)]
-        assert ("|---" in section) == (above not in ("## Which tolerance", "## What is left out")), above
-    assert f"`a command`, {made.measured['maps'].when}, " in page
-    rows = list(csv.DictReader((tmp_path / "work-precision.csv").read_text("utf-8").splitlines()))
-    assert len(rows) == sum(len(getattr(made, part)) for part in PARTS) + len(list(success_rows(made.attacks)))
-    first = next(row for row in rows if row["part"] == "shading")
-    assert made.shading[0].both is not None
-    assert float(first["both.median"]) == made.shading[0].both.median
-    assert first["groups"] == "normals illumination material"
 
 
 def test_a_part_measured_alone_replaces_its_rows_and_no_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
