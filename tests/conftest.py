@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from typing import cast
 
 import pytest
+import structlog
 from redis import Redis
 from redis.exceptions import RedisError
 
@@ -20,6 +21,15 @@ from worker.redis_server import EmbeddedRedis
 # name the same backend, of which the number of threads is a part.
 for variable in ("OMP_NUM_THREADS", "SCENE_ATTACK_THREADS"):
     os.environ.setdefault(variable, "1")
+
+# Tests have the logs of a process that configures none, but for the local variables in its tracebacks: the catalogue is
+# among them, and takes half a minute to write.
+structlog.configure(
+    processors=[
+        *structlog.get_config()["processors"][:-1],
+        structlog.dev.ConsoleRenderer(exception_formatter=structlog.dev.plain_traceback),
+    ]
+)
 
 set_up(Settings())
 

@@ -262,6 +262,8 @@ def test_bytes_that_are_hardly_http(client: Client, name: str) -> None:
     with socket.create_connection((client.base_url.host, client.base_url.port), timeout=60) as connection:
         connection.sendall(sent)
         said = connection.recv(65536)
+        if said.endswith(b"\r\n\r\n"):  # the body comes by itself
+            said += connection.recv(65536)
         closed = status != 400 or closes(connection)
     head, _, body = said.partition(b"\r\n\r\n")
     assert int(head.split(b" ", 2)[1]) == status, said[:500]
