@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from rich.text import Text
 
-from client.console import FittedTable, table
+from client.console import FittedTable, remark
 from client.progress import LOG_EVERY, ProgressLine
 from services.errors import InvalidRequest
 
@@ -32,7 +32,7 @@ def results(found: "Table") -> FittedTable:
     columns = ("target", "attack", "ended>", "n>", "success %>", "95 % interval>", "p ×1e-3>", "held within ε>")
     loop = ("in the loop %>", "p in the loop ×1e-3>", "truncated px>", "failed>", "reused>")
     spare = ("reused", "held within ε", "truncated px", "failed", "in the loop %", "ended", "n")
-    return table((*columns, *loop), [_row(cell) for cell in found.cells], title=found.campaign, spare=spare)
+    return FittedTable((*columns, *loop), [_row(cell) for cell in found.cells], title=found.campaign, spare=spare)
 
 
 def _row(cell: "Cell") -> list[str | Text]:
@@ -85,10 +85,9 @@ class CampaignLine(ProgressLine):
         now = "  ".join(part for part in parts if part)
         self._bar.update(self._task, description=progress.phase, completed=progress.done, total=progress.total, now=now)
         last = progress.done == progress.total
-        if self._log is not None and (last or monotonic() - self._logged > LOG_EVERY):
+        if self._logs and (last or monotonic() - self._logged > LOG_EVERY):
             self._logged = monotonic()
-            line = f"{progress.phase} {progress.done}/{progress.total} {things}  {now}"
-            self._log.print(line, markup=False, highlight=False)
+            remark(f"{progress.phase} {progress.done}/{progress.total} {things}  {now}")
 
 
 IMAGES = ("original.png", "attacked.png")

@@ -1,4 +1,4 @@
-"""Output of the command line: tables, or JSON. Results go to stdout, everything else to stderr."""
+"""Output of the command line: tables and plain lines, or JSON. Results go to stdout, everything else to stderr."""
 
 import json
 import sys
@@ -36,14 +36,41 @@ def err() -> Console:
     return PlainConsole(stderr=True, width=None if sys.stderr.isatty() else 200)
 
 
+def say(*shown: RenderableType) -> None:
+    """Prints results on stdout: tables, and lines of plain text, which are never broken."""
+    _print(out(), shown)
+
+
+def remark(*shown: RenderableType) -> None:
+    """Prints progress and remarks on stderr, as `say` does."""
+    _print(err(), shown)
+
+
+def _print(console: Console, shown: Iterable[RenderableType]) -> None:
+    for one in shown:
+        console.print(one, markup=False, highlight=False, soft_wrap=isinstance(one, str))
+
+
 def print_json(data: Any) -> None:
-    """Prints data, which may be a model, as one JSON document on stdout. ValueError for a number that is not finite."""
-    if hasattr(data, "model_dump"):
-        data = data.model_dump(mode="json")
-    print(escaped(json.dumps(data, indent=1, ensure_ascii=False, allow_nan=False)))
+    """Prints data, which may be or hold models, as one JSON document on stdout. ValueError for a number that is not
+    finite.
+    """
+    print(escaped(json.dumps(data, indent=1, ensure_ascii=False, allow_nan=False, default=_of_model)))
 
 
-Row = Sequence[str | Text]
+def _of_model(model: Any) -> Any:
+    return model.model_dump(mode="json")
+
+
+def print_found(found: Any, shown: RenderableType, as_json: bool) -> None:
+    """Prints what a command found: as JSON if that was asked for, else what is to be shown of it."""
+    if as_json:
+        print_json(found)
+    else:
+        say(shown)
+
+
+Row = Iterable[str | Text]
 MAX_WORD = 40
 """Characters of a word that a column makes room for; a longer one, such as a hash, is broken."""
 
@@ -51,12 +78,12 @@ MAX_WORD = 40
 class FittedTable:
     """A table of cells of plain text; a column whose heading ends in ">" is aligned to the right.
 
-    Where the words of the columns do not fit side by side, a table of one row becomes a list of its fields, and one of
-    several rows loses columns from `spare`, the first ones first, and says below which.
+    Cells are never markup. Where the words of the columns do not fit side by side, a table of one row becomes a list of
+    its fields, and one of several rows loses columns from `spare`, the first ones first, and says below which.
     """
 
     def __init__(
-        self, columns: Sequence[str], rows: Sequence[Row], *, title: str | None = None, spare: Sequence[str] = ()
+        self, columns: Iterable[str], rows: Iterable[Row], *, title: str | None = None, spare: Sequence[str] = ()
     ) -> None:
         self.columns = list(columns)
         self.rows = [list(row) for row in rows]
@@ -88,7 +115,7 @@ def _fits(table: Table, console: Console, options: ConsoleOptions) -> bool:
     return Measurement.get(console, wide, table).minimum <= options.max_width
 
 
-def _table(columns: Sequence[str], rows: Sequence[Row], title: str | None) -> Table:
+def _table(columns: Sequence[str], rows: Sequence[Sequence[str | Text]], title: str | None) -> Table:
     made = Table(title=title, title_justify="left", header_style="bold", show_header=any(columns))
     for at, column in enumerate(columns):
         words = " ".join([column.removesuffix(">"), *(str(row[at]) for row in rows)]).split()
@@ -101,20 +128,6 @@ def _table(columns: Sequence[str], rows: Sequence[Row], title: str | None) -> Ta
     for row in rows:
         made.add_row(*(cell if isinstance(cell, Text) else Text(cell) for cell in row))
     return made
-
-
-def table(
-    columns: Iterable[str],
-    rows: Iterable[Iterable[str | Text]],
-    *,
-    title: str | None = None,
-    spare: Sequence[str] = (),
-) -> FittedTable:
-    """A table that fits the terminal; columns whose heading ends in ">" are aligned to the right.
-
-    Cells are plain text, never markup. `spare` are the columns that a narrow terminal does not show, in their order.
-    """
-    return FittedTable(list(columns), [list(row) for row in rows], title=title, spare=spare)
 
 
 STATE_STYLES = {
@@ -155,7 +168,7 @@ def report_extensions() -> None:
     for extension in loaded_extensions():
         if extension.error is not None:
             file = printable(str(extension.path))
-            err().print(f"extension left out: {file}: {extension.error}", markup=False, highlight=False)
+            remark(f"extension left out: {file}: {extension.error}")
 
 
 def report_targets() -> None:
@@ -164,4 +177,4 @@ def report_targets() -> None:
 
     for folder in target_folders():
         if folder.error is not None:
-            err().print(f"target left out: {folder.name}: {folder.error}", markup=False, highlight=False)
+            remark(f"target left out: {folder.name}: {folder.error}")

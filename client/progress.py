@@ -7,18 +7,18 @@ from typing import Any, Self
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-from client.console import err
+from client.console import err, remark
 
 LOG_EVERY = 5.0
 """Seconds between two lines of a log."""
 
 
 class ProgressLine:
-    """Base class of progress lines: a bar on a terminal; without one, `_log` is where lines go."""
+    """Base class of progress lines: a bar on a terminal; without one, `_logs` says that lines are printed."""
 
     def __init__(self, name: str) -> None:
         console = err()
-        self._log = None if console.is_terminal else console
+        self._logs = not console.is_terminal
         self._bar = Progress(
             SpinnerColumn(),
             TextColumn("{task.description}"),
@@ -27,7 +27,7 @@ class ProgressLine:
             TimeElapsedColumn(),
             TextColumn("{task.fields[now]}"),
             console=console,
-            disable=self._log is not None,
+            disable=self._logs,
         )
         self._task = self._bar.add_task(name, total=None, now="")
 
@@ -53,9 +53,9 @@ class JobLine(ProgressLine):
         """Shows how far the job is; `row` is the newest row of its trace, while attacking."""
         now = phase if row is None else row_text(row)
         self._bar.update(self._task, completed=step, total=steps, now=now)
-        if self._log is not None and (phase != self._logged[0] or monotonic() - self._logged[1] > LOG_EVERY):
+        if self._logs and (phase != self._logged[0] or monotonic() - self._logged[1] > LOG_EVERY):
             self._logged = (phase, monotonic())
-            self._log.print(f"{self._name}: {phase} {step}/{steps}  {row_text(row) if row else ''}", markup=False)
+            remark(f"{self._name}: {phase} {step}/{steps}  {row_text(row) if row else ''}")
 
 
 def row_text(row: Mapping[str, Any]) -> str:

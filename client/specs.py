@@ -100,8 +100,10 @@ def with_meshes_added(data: dict[str, Any], folder: Path, add: Adding) -> tuple[
             except InvalidRequest as error:
                 not_added[mesh] = f"{mesh}: {error.detail}"
             else:
+                from client.console import remark
+
                 for note in notes:
-                    _say(f"{mesh}: not shown: {note}")
+                    remark(f"{mesh}: not shown: {note}")
         return added.get(mesh, mesh)
 
     for place in _PLACES:
@@ -154,12 +156,6 @@ def is_path(mesh: object) -> bool:
     return isinstance(mesh, str) and mesh.startswith(("./", "../", "/"))
 
 
-def _say(words: str) -> None:
-    from client.console import err
-
-    err().print(words, markup=False, highlight=False, soft_wrap=True)
-
-
 def to_library(settings: "Settings") -> Adding:
     """Returns what adds a mesh to the uploads of this machine."""
 
@@ -197,6 +193,7 @@ def to_service(client: "Client") -> Adding:
 
     def add(path: Path) -> tuple[str, Sequence[str]]:
         from client import operations
+        from client.console import remark
         from client.errors import ApiError
         from services.scenes.bundle import title_of
 
@@ -206,7 +203,7 @@ def to_service(client: "Client") -> Adding:
             if error.status != 422:
                 raise
             raise InvalidRequest("mesh", str(error)) from error
-        _say(f"{path.name}: uploaded as {entry.name}")
+        remark(f"{path.name}: uploaded as {entry.name}")
         return entry.name, entry.notes
 
     return add

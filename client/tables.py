@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 from rich.text import Text
 
-from client.console import FittedTable, answer_text, err, out, table, yes
+from client.console import FittedTable, answer_text, remark, say, yes
 from services.analysis.records import (
     AdaptiveAttack,
     Analyses,
@@ -101,7 +101,7 @@ def successes(outcomes: Iterable[Outcome]) -> str:
 def warn(warnings: Iterable[JobWarning]) -> None:
     """Prints the warnings of a job on stderr."""
     for warning in warnings:
-        err().print(f"warning: {warning.field}: {warning.text}", markup=False, highlight=False)
+        remark(f"warning: {warning.field}: {warning.text}")
 
 
 STRONGEST = 20
@@ -135,14 +135,13 @@ def print_subsets(rows: Sequence[Subset], attribution: Attribution) -> None:
         ]
         for row in rows
     ]
-    out().print(table(columns, cells, title="Subsets of the groups"))
-    out().print(_attribution(attribution, "Shapley values of the groups"))
+    say(FittedTable(columns, cells, title="Subsets of the groups"))
+    say(_attribution(attribution, "Shapley values of the groups"))
 
 
 def print_analyses(found: Analyses) -> None:
     """Prints those analyses that were made."""
-    for made in _analysis_tables(found):
-        out().print(made)
+    say(*_analysis_tables(found))
 
 
 def _analysis_tables(found: Analyses) -> Iterator[FittedTable]:
@@ -178,7 +177,7 @@ def _attribution(found: Attribution, title: str) -> FittedTable:
     effect = signed(100 * found.probability.effect, ".2f")
     rows.append(["all", signed(found.log_odds.effect, ".3f"), f"{effect} %", ""])
     columns = ("part", "log-odds of the goal's label>", "its probability>", "strongest interaction (log-odds)")
-    return table(columns, rows, title=f"{title}, {how}, {found.images:,} images")
+    return FittedTable(columns, rows, title=f"{title}, {how}, {found.images:,} images")
 
 
 def _strongest_partner(found: Attribution, part: int) -> str:
@@ -205,7 +204,7 @@ def _minimal(found: MinimalChange) -> Iterator[FittedTable]:
         [stored.group, stored.subject, stored.measure, value, f"{stored.value:.4g}", stored.unit]
         for value, stored in zip(least, found.stored_change, strict=True)
     ]
-    yield table(columns, rows, title=title)
+    yield FittedTable(columns, rows, title=title)
 
 
 def _transfer(found: Sequence[Transferred]) -> FittedTable:
@@ -222,7 +221,7 @@ def _transfer(found: Sequence[Transferred]) -> FittedTable:
         for one in found
     ]
     columns = ("target", "renderer", "original", "attacked", "network", "right before", "note")
-    return table(columns, rows, title="Transfer")
+    return FittedTable(columns, rows, title="Transfer")
 
 
 def _interpretation(found: Interpretation) -> FittedTable:
@@ -239,7 +238,7 @@ def _interpretation(found: Interpretation) -> FittedTable:
     ]
     columns = ("optimiser", "rate>", *FIT_COLUMNS, "label after", "attacked label kept")
     said = f"image: {answer_text(found.image)}, scene: {answer_text(found.scene)}"
-    return table(columns, rows, title=f"Interpretation: fits of physical parameters to the image ({said})")
+    return FittedTable(columns, rows, title=f"Interpretation: fits of physical parameters to the image ({said})")
 
 
 def rerendering_table(found: Rerendering) -> FittedTable:
@@ -252,7 +251,7 @@ def rerendering_table(found: Rerendering) -> FittedTable:
         thousandths(found.distance),
     ]
     columns = ("image", "re-rendered", *FIT_COLUMNS, "p of the difference>")
-    return table(columns, [row], title=f"Re-rendering defence: {found.optimiser}, rate {found.rate:g}")
+    return FittedTable(columns, [row], title=f"Re-rendering defence: {found.optimiser}, rate {found.rate:g}")
 
 
 def _adaptive(found: AdaptiveAttack) -> FittedTable:
@@ -272,7 +271,7 @@ def _adaptive(found: AdaptiveAttack) -> FittedTable:
         "goal's label, re-rendered",
         "p saved ×1e-3>",
     )
-    return table(columns, [row], title="Attack on pixels through the re-rendering defence")
+    return FittedTable(columns, [row], title="Attack on pixels through the re-rendering defence")
 
 
 QUESTIONS_TITLE = "Questions about the image"
@@ -286,7 +285,7 @@ def print_asked(questions: Sequence[Asked]) -> None:
     """Prints questions before an attack, e.g. those of a plan: each with its program and its right answer."""
     if questions:
         rows = [[_words(number, one), _asks_for(one), one.right] for number, one in enumerate(questions)]
-        _print_questions(table(ASKED_COLUMNS, rows, title=QUESTIONS_TITLE), map(_program, questions))
+        _print_questions(FittedTable(ASKED_COLUMNS, rows, title=QUESTIONS_TITLE), map(_program, questions))
 
 
 def print_answered(questions: Sequence[QuestionResult], folder: Path | None = None) -> None:
@@ -307,10 +306,9 @@ def print_answered(questions: Sequence[QuestionResult], folder: Path | None = No
         for number, one in enumerate(questions)
     ]
     lines = [f"{_program(one)}; {_changed(one)}" for one in questions]
-    _print_questions(table(ANSWERED_COLUMNS, rows, title=QUESTIONS_TITLE), lines)
+    _print_questions(FittedTable(ANSWERED_COLUMNS, rows, title=QUESTIONS_TITLE), lines)
     if folder is not None:
-        line = f"Images of what the functions attend to: {folder / ATTENTION_FILES}"
-        out().print(line, markup=False, highlight=False, soft_wrap=True)
+        say(f"Images of what the functions attend to: {folder / ATTENTION_FILES}")
 
 
 def program_text(program: Program) -> str:
@@ -325,10 +323,7 @@ def program_text(program: Program) -> str:
 
 
 def _print_questions(made: FittedTable, lines: Iterable[str]) -> None:
-    console = out()
-    console.print(made)
-    for number, line in enumerate(lines):
-        console.print(f"Program of question {number}: {line}", markup=False, highlight=False, soft_wrap=True)
+    say(made, *(f"Program of question {number}: {line}" for number, line in enumerate(lines)))
 
 
 def _program(question: Asked) -> str:

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from client.commands.options import JsonOption
+from client.console import FittedTable, err, print_found, print_json, remark
 
 app = typer.Typer(help="Reports on how exact and how stable the methods are.", no_args_is_help=True)
 
@@ -29,8 +30,6 @@ def stability(
     """
     import torch
 
-    from client.console import err, print_json, table
-    from client.console import out as stdout
     from client.settings import settings_to_run
     from services.accuracy.stability.case import Case
     from services.accuracy.stability.report import cases, report, run, write
@@ -46,22 +45,14 @@ def stability(
         observations = run(chosen, show)
     found = report(observations, "scene-attack accuracy stability" + (" --quick" if quick else ""))
     write(found, out)
-    if as_json:
-        print_json(found.model_dump(mode="json"))
-    else:
-        families = dict.fromkeys(row.family for row in found.cases)
-        counted = [
-            [
-                family,
-                *(str(sum(r.family == family and r.outcome == word for r in found.cases)) for word in found.counts),
-            ]
-            for family in families
-        ]
-        total = ["all", *map(str, found.counts.values())]
-        stdout().print(table(("family", *(f"{word}>" for word in found.counts)), [*counted, total]))
-    for row in found.failed:
-        err().print(f"failed: {row.family}: {row.name}: {row.what}", markup=False, highlight=False, style="red")
-    err().print(f"Report in {out}", markup=False, highlight=False)
+    counted = [
+        [family, *(str(sum(r.family == family and r.outcome == word for r in found.cases)) for word in found.counts)]
+        for family in dict.fromkeys(row.family for row in found.cases)
+    ]
+    total = ["all", *map(str, found.counts.values())]
+    table = FittedTable(("family", *(f"{word}>" for word in found.counts)), [*counted, total])
+    print_found(found, table, as_json)
+    remark(*(f"failed: {row.family}: {row.name}: {row.what}" for row in found.failed), f"Report in {out}")
     if found.failed:
         raise typer.Exit(1)
 
@@ -87,7 +78,6 @@ def work_precision(
     """
     import torch
 
-    from client.console import err, print_json
     from client.settings import settings_to_run
     from services.accuracy.work_precision.report import FULL, PARTS, QUICK, measure
 
@@ -100,5 +90,5 @@ def work_precision(
     with err().status("") as line:
         made = measure(QUICK if quick else FULL, out, " ".join(words), chosen, line.update)
     if as_json:
-        print_json(made.model_dump(mode="json"))
-    err().print(f"Report in {out}", markup=False, highlight=False)
+        print_json(made)
+    remark(f"Report in {out}")

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from client.commands.options import JsonOption
+from client.console import print_found, print_json, remark
 
 if TYPE_CHECKING:
     from services.pipeline.analyse import StoredAnalysis
@@ -48,7 +49,6 @@ def analyse(
     The table of subsets and the groups' Shapley values are always made; options ask for more. All of it is written to
     analyses.json in the directory.
     """
-    from client.console import err, print_json
     from client.settings import settings_to_run
     from client.tables import print_analyses, print_subsets
 
@@ -64,11 +64,11 @@ def analyse(
     found = _analyse(directory, request, settings)
     (directory / ANALYSES).write_text(found.model_dump_json(indent=1) + "\n", "utf-8")
     if as_json:
-        print_json(found.model_dump(mode="json"))
+        print_json(found)
         return
     print_subsets(found.subsets, found.attribution)
     print_analyses(found.analyses)
-    err().print(f"Written to {directory / ANALYSES}", markup=False, highlight=False)
+    remark(f"Written to {directory / ANALYSES}")
 
 
 def _analyse(directory: Path, request: dict[str, Any], settings: "Settings") -> "StoredAnalysis":
@@ -107,8 +107,6 @@ def rerender(
     from pydantic import ValidationError
 
     from client.commands.run import library
-    from client.console import out as stdout
-    from client.console import print_json
     from client.progress import JobLine
     from client.settings import settings_to_run
     from client.specs import read_job
@@ -139,7 +137,4 @@ def rerender(
         )
     if out is not None:
         save_png(rendered, out)
-    if as_json:
-        print_json(record.model_dump(mode="json"))
-    else:
-        stdout().print(rerendering_table(record))
+    print_found(record, rerendering_table(record), as_json)

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from client.commands.options import DEFAULT_URL, JsonOption, UrlOption
+from client.console import FittedTable, print_found, print_json, remark, say
 
 app = typer.Typer(help="The meshes and environment maps that scenes are made of.", no_args_is_help=True)
 
@@ -24,24 +25,20 @@ def list_assets(
     as_json: JsonOption = False,
 ) -> None:
     """List the meshes of this machine, with their creators and licences."""
-    from client.console import err, out, print_json, table
     from client.settings import read_settings
     from client.specs import local_library
 
     found = local_library(read_settings()).entries(category=category, creator=creator, licence=licence, search=search)
     entries = [entry for entry in found if entry.kind != "environment"]
-    if as_json:
-        print_json([entry.model_dump(mode="json") for entry in entries])
-        return
     rows = [[e.name, e.title, e.category or "", e.creator or "", e.licence or ""] for e in entries]
-    out().print(table(("mesh", "title", "category", "creator", "licence"), rows, spare=("category", "title")))
-    err().print(f"{len(rows)} mesh{'' if len(rows) == 1 else 'es'}", highlight=False)
+    shown = FittedTable(("mesh", "title", "category", "creator", "licence"), rows, spare=("category", "title"))
+    print_found(entries, shown, as_json)
+    remark(f"{len(rows)} mesh{'' if len(rows) == 1 else 'es'}")
 
 
 @app.command(epilog="Example: [bold]scene-attack assets show furniture/grand-piano[/bold]")
 def show(mesh: Annotated[str, typer.Argument(help="A name from `assets list`.")], as_json: JsonOption = False) -> None:
     """Show one mesh: its parts, size, hash and creator."""
-    from client.console import out, print_json, table
     from client.settings import read_settings
     from client.specs import local_library
 
@@ -61,10 +58,8 @@ def show(mesh: Annotated[str, typer.Argument(help="A name from `assets list`.")]
     }
     if entry is not None and entry.kind == "upload":
         facts |= {"used": ", ".join(entry.used), "not shown": ", ".join(entry.notes)}
-    if as_json:
-        print_json(facts)
-    else:
-        out().print(table(("", ""), [[name, "" if value is None else str(value)] for name, value in facts.items()]))
+    lines = [[name, "" if value is None else str(value)] for name, value in facts.items()]
+    print_found(facts, FittedTable(("", ""), lines), as_json)
 
 
 @app.command(
@@ -96,7 +91,6 @@ def add(
     """
     from client import operations
     from client.client import Client
-    from client.console import err, out, print_json
     from services.errors import InvalidRequest
     from services.scenes.bundle import MAP_KINDS, MESH_KINDS
 
@@ -113,25 +107,19 @@ def add(
     if as_json:
         print_json(entry)
     else:
-        out().print(entry.name, markup=False, highlight=False)
-        for word, notes in (("used", entry.used), ("not shown", entry.notes)):
-            for note in notes:
-                err().print(f"{word}: {note}", markup=False, highlight=False)
+        say(entry.name)
+        remark(*(f"used: {note}" for note in entry.used), *(f"not shown: {note}" for note in entry.notes))
 
 
 @app.command(epilog="Example: [bold]scene-attack assets uploads[/bold]")
 def uploads(url: UrlOption = DEFAULT_URL, as_json: JsonOption = False) -> None:
     """List the meshes that were uploaded to a running service."""
     from client.client import Client
-    from client.console import out, print_json, table
 
     with Client(url) as client:
         entries = client.list_assets()
-    if as_json:
-        print_json([entry.model_dump(mode="json") for entry in entries])
-    else:
-        rows = [[entry.title, entry.licence, str(entry.triangles), entry.name] for entry in entries]
-        out().print(table(("title", "licence", "triangles", "mesh"), rows))
+    rows = [[entry.title, entry.licence, str(entry.triangles), entry.name] for entry in entries]
+    print_found(entries, FittedTable(("title", "licence", "triangles", "mesh"), rows), as_json)
 
 
 @app.command(epilog="Example: [bold]scene-attack assets delete sha256:0f3c…[/bold]")
@@ -142,7 +130,6 @@ def delete(
 ) -> None:
     """Delete an uploaded mesh. A job or campaign that refers to it must be deleted first."""
     from client.client import Client
-    from client.console import out, print_json
     from services.errors import InvalidRequest
 
     if not re.fullmatch(r"(sha256:)?[0-9a-f]{64}", mesh):
@@ -150,24 +137,18 @@ def delete(
     with Client(url) as client:
         client.delete_asset(mesh)
     name = f"sha256:{mesh.removeprefix('sha256:')}"
-    if as_json:
-        print_json({"name": name, "deleted": True})
-    else:
-        out().print(f"{name}  deleted", markup=False, highlight=False)
+    print_found({"name": name, "deleted": True}, f"{name}  deleted", as_json)
 
 
 @app.command(epilog="Example: [bold]scene-attack assets environments[/bold]")
 def environments(as_json: JsonOption = False) -> None:
     """List the environment maps of this machine, with their creators and licences."""
-    from client.console import out, print_json, table
     from client.settings import read_settings
     from client.specs import local_library
 
     library = local_library(read_settings())
     uploaded = [entry for entry in library.entries(category="upload") if entry.kind == "environment"]
     entries = [*library.environments(), *uploaded]
-    if as_json:
-        print_json([entry.model_dump(mode="json") for entry in entries])
-    else:
-        rows = [[one.name, one.title, one.creator, one.licence, one.credit or ""] for one in entries]
-        out().print(table(("map", "title", "creator", "licence", "credit"), rows, spare=("credit", "title")))
+    rows = [[one.name, one.title, one.creator, one.licence, one.credit or ""] for one in entries]
+    columns = ("map", "title", "creator", "licence", "credit")
+    print_found(entries, FittedTable(columns, rows, spare=("credit", "title")), as_json)

@@ -9,14 +9,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from client.commands.options import DEFAULT_URL, JsonOption, PriorityOption, UrlOption
+from client.commands.options import DEFAULT_URL, SHORT, JsonOption, PriorityOption, UrlOption, whole_campaign_id
+from client.console import FittedTable, print_found, print_json, remark, report_extensions, say
 from services.errors import InvalidRequest
 
 if TYPE_CHECKING:
     from rich.text import Text
 
     from api.schemas import CampaignView
-    from client.operations import Request
+    from client.operations import Answer, Request
 
 app = typer.Typer(
     help="Run many attacks that belong together, and make the paper's table of them.", no_args_is_help=True
@@ -45,8 +46,6 @@ def run(
     """
     from client.campaigns import CampaignLine, results
     from client.commands.run import keep_memory, library
-    from client.console import err, print_json, report_extensions
-    from client.console import out as stdout
     from client.result_folder import prepare_folder
     from client.settings import settings_to_run
     from client.specs import read_campaign
@@ -72,17 +71,14 @@ def run(
         with CampaignLine(campaign.name) as line:
             found = run_campaign(campaign, folder, assets, progress=line.update)
     except KeyboardInterrupt:
-        err().print("Interrupted; the same command goes on with what is left.", markup=False, highlight=False)
+        remark("Interrupted; the same command goes on with what is left.")
         raise
     write(found, folder)
-    if as_json:
-        print_json(found.model_dump(mode="json"))
-    else:
-        stdout().print(results(found.table))
+    print_found(found, results(found.table), as_json)
     chosen = sum(view.chosen for view in found.views)
-    err().print(f"{chosen} of {len(found.views)} views attacked. Files in {folder}", markup=False, highlight=False)
+    remark(f"{chosen} of {len(found.views)} views attacked. Files in {folder}")
     if why := nothing_chosen(found.views):
-        err().print(why, markup=False, highlight=False, soft_wrap=True)
+        remark(why)
 
 
 @app.command(epilog="Example: [bold]scene-attack campaign submit examples/campaign-small.json[/bold]")
@@ -95,16 +91,12 @@ def submit(
     """Start a campaign at a running service."""
     from client import operations, specs
     from client.client import Client
-    from client.console import out, print_json
     from client.specs import folder_of, sent
 
     data = specs.read(spec)
     with Client(url) as client:
         found = sent(data, folder_of(spec), client, lambda data: operations.submit_campaign(data, priority=priority))
-        if as_json:
-            print_json(found)
-        else:
-            out().print(f"{found.id}  {client.url}/campaigns/{found.id}", markup=False, highlight=False)
+        print_found(found, f"{found.id}  {client.url}/campaigns/{found.id}", as_json)
 
 
 @app.command("list", epilog="Example: [bold]scene-attack campaign list[/bold]")
@@ -117,8 +109,6 @@ def list_campaigns(
     from client import operations
     from client.campaigns import campaign_state
     from client.client import Client
-    from client.commands.options import SHORT
-    from client.console import out, print_json, table
 
     with Client(url) as client:
         page = client.call(operations.list_campaigns(limit=limit))
@@ -138,17 +128,15 @@ def list_campaigns(
                 f"{one.created:%Y-%m-%d %H:%M:%S}",
             ]
         )
-    out().print(table(("id", "name", "state", "views>", "jobs>", "created (UTC)"), rows))
+    say(FittedTable(("id", "name", "state", "views>", "jobs>", "created (UTC)"), rows))
 
 
 @app.command(epilog="Example: [bold]scene-attack campaign show 0f3c…[/bold]")
 def show(campaign_id: CampaignId, url: UrlOption = DEFAULT_URL, as_json: JsonOption = False) -> None:
     """Show one campaign: its progress, its outcomes so far and the time left."""
-    from client.client import Client
-    from client.commands.options import campaign_id as whole_id
+    from client import operations
 
-    with Client(url) as client:
-        _print(client.get_campaign(whole_id(client, campaign_id)), as_json)
+    _print(operations.get_campaign, campaign_id, url, as_json)
 
 
 @app.command(epilog="Example: [bold]scene-attack campaign pause 0f3c…[/bold]")
@@ -156,7 +144,7 @@ def pause(campaign_id: CampaignId, url: UrlOption = DEFAULT_URL, as_json: JsonOp
     """Hold a campaign's queued jobs back. Jobs that run go on to their end."""
     from client import operations
 
-    _move(operations.pause_campaign, campaign_id, url, as_json)
+    _print(operations.pause_campaign, campaign_id, url, as_json)
 
 
 @app.command(epilog="Example: [bold]scene-attack campaign resume 0f3c…[/bold]")
@@ -164,7 +152,7 @@ def resume(campaign_id: CampaignId, url: UrlOption = DEFAULT_URL, as_json: JsonO
     """Let a paused campaign go on."""
     from client import operations
 
-    _move(operations.resume_campaign, campaign_id, url, as_json)
+    _print(operations.resume_campaign, campaign_id, url, as_json)
 
 
 @app.command(epilog="Example: [bold]scene-attack campaign cancel 0f3c…[/bold]")
@@ -172,7 +160,7 @@ def cancel(campaign_id: CampaignId, url: UrlOption = DEFAULT_URL, as_json: JsonO
     """End a campaign and its jobs; the results so far stay."""
     from client import operations
 
-    _move(operations.cancel_campaign, campaign_id, url, as_json)
+    _print(operations.cancel_campaign, campaign_id, url, as_json)
 
 
 @app.command(
@@ -190,21 +178,13 @@ def table(
     """Print the table of a campaign, of the jobs that have ended, or write it with its curves."""
     from client import operations
     from client.campaigns import results
-    from client.client import Client
-    from client.commands.options import campaign_id as whole_id
-    from client.console import err, out, print_json
 
-    with Client(url) as client:
-        found = client.call(operations.get_campaign_table(whole_id(client, campaign_id)))
-    if as_json:
-        print_json(found)
-    else:
-        out().print(results(found.table))
+    found = _call(operations.get_campaign_table, campaign_id, url)
+    print_found(found, results(found.table), as_json)
     if to is not None:
         from services.pipeline.campaign_plan import write
 
-        for path in write(found, to):
-            err().print(str(path), markup=False, highlight=False)
+        remark(*map(str, write(found, to)))
 
 
 @app.command(
@@ -219,7 +199,6 @@ def export(
 ) -> None:
     """Export the adversaries of a campaign as a MAITE dataset: images, labels and metadata."""
     from client.campaigns import folder_results, service_results
-    from client.console import out, print_json
     from services.pipeline.adversary_dataset import export as write
 
     if Path(source).is_dir():
@@ -228,34 +207,25 @@ def export(
         raise InvalidRequest("source", f"there is no folder {source}, and a campaign's id has 32 hexadecimal digits")
     else:
         from client.client import Client
-        from client.commands.options import campaign_id as whole_id
 
         with Client(url) as client:
-            source = whole_id(client, source)
+            source = whole_campaign_id(client, source)
             count = write(service_results(client, source), maite, name=source)
-    if as_json:
-        print_json({"folder": str(maite), "adversaries": count})
-    else:
-        out().print(f"{maite}  {count} adversaries", markup=False, highlight=False)
+    print_found({"folder": str(maite), "adversaries": count}, f"{maite}  {count} adversaries", as_json)
 
 
-def _move(operation: Callable[[str], Request[CampaignView]], campaign_id: str, url: str, as_json: bool) -> None:
+def _call(operation: Callable[[str], Request[Answer]], campaign_id: str, url: str) -> Answer:
     from client.client import Client
-    from client.commands.options import campaign_id as whole_id
 
     with Client(url) as client:
-        campaign = client.call(operation(whole_id(client, campaign_id)))
-    _print(campaign, as_json)
+        return client.call(operation(whole_campaign_id(client, campaign_id)))
 
 
-def _print(found: CampaignView, as_json: bool) -> None:
+def _print(operation: Callable[[str], Request[CampaignView]], campaign_id: str, url: str, as_json: bool) -> None:
+    """Prints the campaign as an operation on it leaves it."""
     from client.campaigns import campaign_state, duration
-    from client.console import out, print_json
-    from client.console import table as text_table
 
-    if as_json:
-        print_json(found)
-        return
+    found = _call(operation, campaign_id, url)
     far = found.progress
     row: list[str | Text] = [
         found.id,
@@ -269,4 +239,4 @@ def _print(found: CampaignView, as_json: bool) -> None:
         "" if found.ended else duration(found.seconds_left),
     ]
     columns = ("id", "name", "state", "views>", "chosen>", "jobs>", "outcomes", "reused>", "time left>")
-    out().print(text_table(columns, [row]))
+    print_found(found, FittedTable(columns, [row]), as_json)

@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from client.console import FittedTable, err, remark, say, state_text
 from services.errors import JobFailure
 
 if TYPE_CHECKING:
     from api.schemas import JobView
     from client.client import Client
-    from client.console import FittedTable
 
 
 SCENES: dict[str, dict[str, Any]] = {
@@ -76,26 +76,22 @@ def demo(
     The exit code is 0 if all jobs ran to their end.
     """
     from client.client import Client
-    from client.console import err, out
     from client.settings import settings_to_run
     from client.tables import successes
 
-    values, say = settings_to_run(), err()
+    values = settings_to_run()
     data = values.data_dir / "demo"
-    say.print("starting the service: networks and OpenGL are loaded once")
+    remark("starting the service: networks and OpenGL are loaded once")
     with running_service(data, {"SCENE_ATTACK_PORT": str(_free_port(values.host, values.port))}) as (url, process):
-        say.print(f"service at {url}, its log in {data / 'service.log'}", markup=False, highlight=False)
+        remark(f"service at {url}, its log in {data / 'service.log'}")
         with Client(url) as client:
             _clear(client)
             jobs = _watch(client, [client.submit_job(spec).id for spec in specs()])
-        out().print(_table(jobs))
-        out().print(successes(job.outcome for job in jobs if job.outcome is not None), highlight=False)
-        for job in jobs:
-            if job.failure is not None:
-                say.print(f"{_name(job)} failed: {job.failure.detail}", markup=False, highlight=False)
-        out().print(f"Dashboard: {url}", markup=False, highlight=False)
+        say(_table(jobs), successes(job.outcome for job in jobs if job.outcome is not None))
+        remark(*(f"{_name(job)} failed: {job.failure.detail}" for job in jobs if job.failure is not None))
+        say(f"Dashboard: {url}")
         if not once:
-            say.print("It stays up; Ctrl-C ends it.")
+            remark("It stays up; Ctrl-C ends it.")
             with suppress(KeyboardInterrupt):
                 process.wait()
     if any(job.state != "succeeded" for job in jobs):
@@ -114,8 +110,6 @@ def _watch(client: "Client", ids: list[str]) -> list["JobView"]:
     """Shows the jobs until all have ended; returns them in the order of `ids`."""
     from rich.live import Live
 
-    from client.console import err
-
     console, told = err(), dict.fromkeys(ids, "")
     with Live(console=console, auto_refresh=False, transient=True) as live:
         while True:
@@ -126,14 +120,13 @@ def _watch(client: "Client", ids: list[str]) -> list["JobView"]:
                 for job in jobs:
                     if told[job.id] != job.state:
                         told[job.id] = job.state
-                        console.print(f"{_name(job)}: {job.state}", markup=False, highlight=False)
+                        remark(f"{_name(job)}: {job.state}")
             if all(job.state.terminal for job in jobs):
                 return jobs
             sleep(LOOK_EVERY)
 
 
-def _table(jobs: list["JobView"]) -> "FittedTable":
-    from client.console import state_text, table
+def _table(jobs: list["JobView"]) -> FittedTable:
     from client.tables import COLUMNS, SPARE, cells
 
     rows = []
@@ -145,7 +138,7 @@ def _table(jobs: list["JobView"]) -> "FittedTable":
             if job.state == "running" and job.progress:
                 state.append(f" {job.progress.step}/{job.progress.steps}")
             rows.append([job.name, job.attack, state, *[""] * (len(COLUMNS) - 3)])
-    return table(COLUMNS, rows, spare=SPARE)
+    return FittedTable(COLUMNS, rows, spare=SPARE)
 
 
 def _name(job: "JobView") -> str:

@@ -5,7 +5,8 @@ from typing import Annotated
 
 import typer
 
-from client.commands.options import DEFAULT_URL, JsonOption, UrlOption
+from client.commands.options import DEFAULT_URL, SHORT, JsonOption, UrlOption, whole_job_id
+from client.console import print_found
 
 
 def register(app: typer.Typer) -> None:
@@ -31,7 +32,6 @@ def export(
     as_json: JsonOption = False,
 ) -> None:
     """Take a finished job along: scenes as glTF, light and normals, images, parameters with names and units."""
-    from client.console import out, print_json
     from services.errors import InvalidRequest
 
     folder = Path(job)
@@ -43,10 +43,7 @@ def export(
             "--out", f"{to} is there already, and no empty folder; name another, or a file ending in .zip"
         )
     written = _export_folder(folder, to) if local else _export_job(job, to, url)
-    if as_json:
-        print_json({"written": str(written)})
-    else:
-        out().print(f"Written to {written}", markup=False, highlight=False)
+    print_found({"written": str(written)}, f"Written to {written}", as_json)
 
 
 def _export_folder(folder: Path, to: Path | None) -> Path:
@@ -80,12 +77,11 @@ def _export_job(job: str, to: Path | None, url: str) -> Path:
 
     from client import operations
     from client.client import Client
-    from client.commands.options import SHORT, job_id
     from services.export.bundle import into_folder
     from services.scenes.bundle import clean_name
 
     with Client(url) as client, TemporaryDirectory() as folder:
-        whole = job_id(client, job)
+        whole = whole_job_id(client, job)
         to = to or Path(f"scene-attack-{whole[:SHORT]}.zip")
         if to.suffix == ".zip":
             client.save(operations.download_export(whole), to)

@@ -10,14 +10,25 @@ from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
-from client.commands.options import DEFAULT_URL, JsonOption, PriorityOption, SeedOption, UrlOption
+from client.commands.options import (
+    DEFAULT_URL,
+    SHORT,
+    JsonOption,
+    PriorityOption,
+    SeedOption,
+    SpecArgument,
+    UrlOption,
+    whole_campaign_id,
+    whole_job_id,
+)
+from client.console import FittedTable, print_found, print_json, remark, say, state_text
 
 if TYPE_CHECKING:
     from rich.text import Text
 
     from api.schemas import JobView
     from client.client import Job
-    from client.operations import Request, StateName
+    from client.operations import Answer, Request, StateName
 
 
 app = typer.Typer(
@@ -41,7 +52,7 @@ JobId = Annotated[
 
 
 def submit(
-    spec: Annotated[str, typer.Argument(metavar="SPEC", help="A job as JSON; - reads it from stdin.")],
+    spec: SpecArgument,
     url: UrlOption = DEFAULT_URL,
     watch: Annotated[bool, typer.Option("--watch", "-w", help="Follow the job until it ends.")] = False,
     seed: SeedOption = None,
@@ -55,7 +66,6 @@ def submit(
     """
     from client import operations, specs
     from client.client import Client, Job
-    from client.console import err, out, print_json
     from client.specs import folder_of, sent
     from client.tables import warn
 
@@ -64,23 +74,20 @@ def submit(
         job = sent(data, folder_of(spec), client, lambda data: operations.submit_job(data, priority=priority))
         warn(job.warnings)
         if not job.checked:
-            err().print("accepted before its check had ended; a worker checks it first")
+            remark("accepted before its check had ended; a worker checks it first")
+        page = f"{client.url}/jobs/{job.id}"
         if watch:
-            err().print(f"{client.url}/jobs/{job.id}", markup=False, highlight=False)
+            remark(page)
             job = follow(Job(job, client))
-        if as_json:
-            print_json(job)
-        elif watch:
-            print_job(job)
+            print_job(job, as_json)
         else:
-            out().print(f"{job.id}  {client.url}/jobs/{job.id}", markup=False, highlight=False)
+            print_found(job, f"{job.id}  {page}", as_json)
     if watch and job.state != "succeeded":
         raise typer.Exit(2 if job.state == "rejected" else 1)
 
 
 def follow(job: Job) -> JobView:
     """Shows the job's progress until it has ended; returns the finished job. Ctrl-C ends the showing, not the job."""
-    from client.console import err
     from client.progress import JobLine
 
     try:
@@ -91,37 +98,37 @@ def follow(job: Job) -> JobView:
                     last = rows[-1] if rows else None
                     line.update(event.data["phase"], event.data["step"], event.data["steps"], last)
     except KeyboardInterrupt:
-        words = f"The job goes on. `scene-attack jobs watch {job.id}` follows it, `jobs cancel` ends it."
-        err().print(words, markup=False, highlight=False, soft_wrap=True)
+        remark(f"The job goes on. `scene-attack jobs watch {job.id}` follows it, `jobs cancel` ends it.")
         raise
     return job.data
 
 
-def print_job(job: JobView) -> None:
+def print_job(job: JobView, as_json: bool) -> None:
     """Prints a job: its outcome if it succeeded, otherwise its state and the reason for a failure; then what people
     said of it.
     """
-    from client.console import err, out, state_text, table
+    if as_json:
+        print_json(job)
+        return
     from client.tables import COLUMNS, SPARE, cells, print_answered
     from services.pipeline.result import Result
 
     scene = job.title or job.name
     if job.outcome is not None:
-        out().print(table(COLUMNS, [cells(scene, job.attack, job.outcome)], spare=SPARE))
+        say(FittedTable(COLUMNS, [cells(scene, job.attack, job.outcome)], spare=SPARE))
         if isinstance(job.result, Result):
             print_answered(job.result.questions)
     else:
         row: list[str | Text] = [job.id, state_text(job.state), scene, job.attack]
-        out().print(table(("id", "state", "scene", "attack"), [row]))
+        say(FittedTable(("id", "state", "scene", "attack"), [row]))
     messages = [f"waits: {job.waiting}"] if job.waiting else []
     messages += [f"rejected: {error.field}: {error.detail}" for error in job.errors]
     messages += [f"failed ({job.failure.kind}): {job.failure.detail}"] if job.failure else []
-    for message in messages:
-        err().print(message, markup=False, highlight=False)
+    remark(*messages)
     if job.tags:
-        out().print(f"tags: {' '.join(job.tags)}", markup=False, highlight=False)
+        say(f"tags: {' '.join(job.tags)}")
     if job.note:
-        out().print(f"note: {job.note}", markup=False, highlight=False)
+        say(f"note: {job.note}")
 
 
 @app.command(
@@ -166,19 +173,17 @@ def list_jobs(
     from itertools import islice
 
     from client.client import Client
-    from client.commands.options import SHORT, campaign_id
-    from client.console import err, out, print_json, state_text, table
     from client.tables import answer_cell, outcome_cell, verified
 
     with Client(url) as client:
-        about = None if campaign is None else campaign_id(client, campaign)
+        about = None if campaign is None else whole_campaign_id(client, campaign)
         states = None if state is None else cast("list[StateName]", [name.strip() for name in state.split(",")])
         matching = client.list_jobs(state=states, campaign=about, q=query, sort=sort)
         jobs = list(matching if whole else islice(matching, limit + 1))
     more = not whole and len(jobs) > limit
     jobs = jobs[:limit] if more else jobs
     if as_json:
-        print_json({"items": [job.model_dump(mode="json") for job in jobs], "more": more})
+        print_json({"items": jobs, "more": more})
         return
     rows: list[list[str | Text]] = []
     for job in jobs:
@@ -192,39 +197,27 @@ def list_jobs(
             change = f"{answer_cell(outcome, 'before')} → {answer_cell(outcome, 'after')}"
             rows.append([*row, change, outcome_cell(outcome), verified(outcome)])
     columns = ("id", "state", "scene", "attack", "target", "before → after", "network", "verified")
-    out().print(table(columns, rows, spare=("target", "attack", "verified", "network")))
+    say(FittedTable(columns, rows, spare=("target", "attack", "verified", "network")))
     if more:
-        err().print(f"These are the newest {limit}; --all lists every job, --limit more of them.", highlight=False)
+        remark(f"These are the newest {limit}; --all lists every job, --limit more of them.")
 
 
 @app.command(epilog="Example: [bold]scene-attack jobs show 0f3c… --json[/bold]")
 def show(job_id: JobId, url: UrlOption = DEFAULT_URL, as_json: JsonOption = False) -> None:
     """Show one job: its state, outcome, or the reason it failed."""
-    from client.client import Client
-    from client.commands.options import job_id as whole_id
-    from client.console import print_json
+    from client import operations
 
-    with Client(url) as client:
-        job = client.get_job(whole_id(client, job_id)).data
-    if as_json:
-        print_json(job)
-    else:
-        print_job(job)
+    print_job(_call(operations.get_job, job_id, url), as_json)
 
 
 @app.command(epilog="Example: [bold]scene-attack jobs watch 0f3c…[/bold]")
 def watch(job_id: JobId, url: UrlOption = DEFAULT_URL, as_json: JsonOption = False) -> None:
     """Follow a job until it ends. The exit code is 0 when it succeeded."""
     from client.client import Client
-    from client.commands.options import job_id as whole_id
-    from client.console import print_json
 
     with Client(url) as client:
-        job = follow(client.get_job(whole_id(client, job_id)))
-    if as_json:
-        print_json(job)
-    else:
-        print_job(job)
+        job = follow(client.get_job(whole_job_id(client, job_id)))
+    print_job(job, as_json)
     if job.state != "succeeded":
         raise typer.Exit(1)
 
@@ -233,16 +226,9 @@ def watch(job_id: JobId, url: UrlOption = DEFAULT_URL, as_json: JsonOption = Fal
 def cancel(job_id: JobId, url: UrlOption = DEFAULT_URL, as_json: JsonOption = False) -> None:
     """Ask a job to stop; a running job stops within one step. A job that has ended stays as it is."""
     from client import operations
-    from client.client import Client
-    from client.commands.options import job_id as whole_id
-    from client.console import out, print_json
 
-    with Client(url) as client:
-        job = client.call(operations.cancel_job(whole_id(client, job_id)))
-    if as_json:
-        print_json(job)
-    else:
-        out().print(f"{job.id}  {job.state}", markup=False, highlight=False)
+    job = _call(operations.cancel_job, job_id, url)
+    print_found(job, f"{job.id}  {job.state}", as_json)
 
 
 @app.command(epilog="Example: [bold]scene-attack jobs retry 0f3c…[/bold]")
@@ -250,7 +236,8 @@ def retry(job_id: JobId, url: UrlOption = DEFAULT_URL, as_json: JsonOption = Fal
     """Queue the request of a job again, as a new job, and print its id."""
     from client import operations
 
-    _queue_again(operations.retry_job, job_id, url, as_json)
+    job = _call(operations.retry_job, job_id, url)
+    print_found(job, job.id, as_json)
 
 
 @app.command("continue", epilog="Example: [bold]scene-attack jobs continue 0f3c…[/bold]")
@@ -258,20 +245,15 @@ def go_on(job_id: JobId, url: UrlOption = DEFAULT_URL, as_json: JsonOption = Fal
     """Go on from the checkpoint of a job that was cancelled or failed, as a new job, and print its id."""
     from client import operations
 
-    _queue_again(operations.continue_job, job_id, url, as_json)
+    job = _call(operations.continue_job, job_id, url)
+    print_found(job, job.id, as_json)
 
 
-def _queue_again(operation: Callable[[str], Request[JobView]], job_id: str, url: str, as_json: bool) -> None:
+def _call(operation: Callable[[str], Request[Answer]], job_id: str, url: str) -> Answer:
     from client.client import Client
-    from client.commands.options import job_id as whole_id
-    from client.console import out, print_json
 
     with Client(url) as client:
-        job = client.call(operation(whole_id(client, job_id)))
-    if as_json:
-        print_json(job)
-    else:
-        out().print(job.id, markup=False, highlight=False)
+        return client.call(operation(whole_job_id(client, job_id)))
 
 
 @app.command(epilog="Example: [bold]scene-attack jobs edit 0f3c… --title 'Figure 3' --tag paper[/bold]")
@@ -287,21 +269,15 @@ def edit(
     """Give a job a title, tags and a note, by which lists find it (`tag:paper`). No result changes."""
     from client import operations
     from client.client import Client
-    from client.commands.options import job_id as whole_id
-    from client.console import out, print_json
 
     changes: dict[str, object] = {name: said for name, said in (("title", title), ("note", note)) if said is not None}
     with Client(url) as client:
-        whole = whole_id(client, job_id)
+        whole = whole_job_id(client, job_id)
         if tag or untag:
             had = client.get_job(whole).data.tags
             changes["tags"] = sorted({*had, *(tag or ())} - {*(untag or ())})
         job = client.call(operations.edit_job(whole, changes))
-    if as_json:
-        print_json(job)
-    else:
-        words = " ".join([job.title or job.name, *(f"[{tag}]" for tag in job.tags)])
-        out().print(f"{job.id}  {words}", markup=False, highlight=False)
+    print_found(job, " ".join([f"{job.id} ", job.title or job.name, *(f"[{tag}]" for tag in job.tags)]), as_json)
 
 
 @app.command(epilog="Example: [bold]scene-attack jobs delete 0f3c…[/bold]")
@@ -309,16 +285,11 @@ def delete(job_id: JobId, url: UrlOption = DEFAULT_URL, as_json: JsonOption = Fa
     """Delete a job that has ended, with its files."""
     from client import operations
     from client.client import Client
-    from client.commands.options import job_id as whole_id
-    from client.console import out, print_json
 
     with Client(url) as client:
-        whole = whole_id(client, job_id)
+        whole = whole_job_id(client, job_id)
         client.call(operations.delete_job(whole))
-    if as_json:
-        print_json({"id": whole, "deleted": True})
-    else:
-        out().print(f"{whole}  deleted", markup=False, highlight=False)
+    print_found({"id": whole, "deleted": True}, f"{whole}  deleted", as_json)
 
 
 @app.command(epilog="Example: [bold]scene-attack jobs download 0f3c… --out out/piano[/bold]")
@@ -334,19 +305,17 @@ def download(
     """
     from client import operations
     from client.client import Client
-    from client.commands.options import job_id as whole_id
-    from client.console import out, print_json
     from client.result_folder import check_same_files, prepare_folder
 
     prepare_folder(to)
     with Client(url) as client:
-        whole = whole_id(client, job_id)
+        whole = whole_job_id(client, job_id)
         artifacts = client.call(operations.list_artifacts(whole)).items
         check_same_files(to, artifacts)
         for artifact in artifacts:
             name = Path(artifact.name).name  # a service can name no file outside the directory
             client.save(operations.download_artifact(whole, artifact.name), to / name)
             if not as_json:
-                out().print(f"{to / name}  {artifact.size:,} bytes", markup=False, highlight=False)
+                say(f"{to / name}  {artifact.size:,} bytes")
     if as_json:
         print_json({"id": whole, "files": [str(to / Path(one.name).name) for one in artifacts]})

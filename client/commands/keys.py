@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from client.commands.options import DataOption, JsonOption
+from client.console import FittedTable, print_found, print_json, remark, say
 
 if TYPE_CHECKING:
     from services.access.keys import AccessKeys
@@ -52,7 +53,6 @@ def create(
 
     From the first key on, the service answers nobody without one, on this machine either.
     """
-    from client.console import err, out, print_json
     from client.settings import read_settings
     from services.access.caller import Scope
     from services.errors import InvalidRequest
@@ -71,29 +71,24 @@ def create(
     if as_json:
         print_json(_shown(key) | {"key": text})
         return
-    out().print(text, markup=False, highlight=False, soft_wrap=True)
-    said = f"This is the only time that the key {key.prefix} is shown. It is in {_place(settings)}."
-    err().print(said, markup=False, highlight=False, soft_wrap=True)
+    say(text)
+    remark(f"This is the only time that the key {key.prefix} is shown. It is in {_place(settings)}.")
 
 
 @app.command("list", epilog="Example: [bold]scene-attack keys list[/bold]")
 def list_keys(data: DataOption = None, as_json: JsonOption = False) -> None:
     """List all keys, oldest first, also those that are revoked or have expired. No key's text is known."""
-    from client.console import out, print_json, table
     from client.settings import read_settings
 
     with _keys(read_settings(data=data)) as keys:
         found = [_shown(key) for key in keys.all()]
-    if as_json:
-        print_json(found)
-        return
     columns = ("prefix", "name", "owner", "scopes", "state", "expires", "created", "last used")
     rows = [
         [one["prefix"], one["name"], one["owner"], " ".join(one["scopes"]), one["state"]]
         + [(one[time] or "never")[:16] for time in ("expires", "created", "last_used")]
         for one in found
     ]
-    out().print(table(columns, rows, spare=("created", "last used", "owner", "expires")))
+    print_found(found, FittedTable(columns, rows, spare=("created", "last used", "owner", "expires")), as_json)
 
 
 @app.command(epilog="Example: [bold]scene-attack keys revoke sa_1f0c9a7b3e[/bold]")
@@ -103,7 +98,6 @@ def revoke(
     as_json: JsonOption = False,
 ) -> None:
     """End a key for good. Its next request is refused, and its sessions of the dashboard end."""
-    from client.console import out, print_json
     from client.settings import read_settings
     from services.errors import InvalidRequest
 
@@ -114,10 +108,7 @@ def revoke(
         raise InvalidRequest(
             "PREFIX", f"there is no key {prefix!r} in {_place(settings)}; `keys list` shows all of them"
         )
-    if as_json:
-        print_json(_shown(key))
-    else:
-        out().print(f"{key.prefix}  revoked", markup=False, highlight=False)
+    print_found(_shown(key), f"{key.prefix}  revoked", as_json)
 
 
 @contextmanager

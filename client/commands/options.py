@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 DEFAULT_URL = "http://127.0.0.1:8008"
 
+SpecArgument = Annotated[str, typer.Argument(metavar="SPEC", help="A job as JSON; - reads it from stdin.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
 DataOption = Annotated[
     Path | None, typer.Option("--data", help="Directory of database, artifacts and uploads [SCENE_ATTACK_DATA].")
@@ -35,14 +36,14 @@ MAX_LISTED = 10
 """Ids that a message about an ambiguous beginning lists."""
 
 
-def job_id(client: "Client", text: str) -> str:
+def whole_job_id(client: "Client", text: str) -> str:
     """The id of the job that `text` is, or is the beginning of. Raises InvalidRequest("ID") if that is not one job."""
     digits = _digits(text, "job")
     return digits if len(digits) == WHOLE else _only(client.list_jobs(q=f"id:{digits}"), digits, "job")
 
 
-def campaign_id(client: "Client", text: str) -> str:
-    """As `job_id`, of a campaign."""
+def whole_campaign_id(client: "Client", text: str) -> str:
+    """As `whole_job_id`, of a campaign."""
     digits = _digits(text, "campaign")
     return digits if len(digits) == WHOLE else _only(client.list_campaigns(), digits, "campaign")
 

@@ -5,7 +5,19 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from client.commands.options import JsonOption, SeedOption
+from client.commands.options import JsonOption, SeedOption, SpecArgument
+from client.console import (
+    FittedTable,
+    answer_text,
+    err,
+    print_found,
+    print_json,
+    remark,
+    report_extensions,
+    say,
+    small,
+    yes,
+)
 
 if TYPE_CHECKING:
     from rich.text import Text
@@ -33,7 +45,7 @@ def register(app: typer.Typer) -> None:
 
 
 def run(
-    spec: Annotated[str, typer.Argument(metavar="SPEC", help="A job as JSON; - reads it from stdin.")],
+    spec: SpecArgument,
     out: Annotated[Path, typer.Option(help="Directory for result.json, the perturbation and the images.")],
     seed: SeedOption = None,
     as_json: JsonOption = False,
@@ -43,8 +55,6 @@ def run(
     If it is interrupted, the same command resumes it. The exit code is 0 if the job ran to its end, whether the network
     was fooled or held. A directory that holds the result of another job is refused.
     """
-    from client.console import err, print_json, report_extensions, table
-    from client.console import out as stdout
     from client.progress import JobLine
     from client.result_folder import check_free, prepare_folder
     from client.settings import settings_to_run
@@ -65,23 +75,21 @@ def run(
         with JobLine(f"{name}, {attack}") as line:
             result = _execute(job, out, settings, line)
     except KeyboardInterrupt:
-        err().print("Interrupted; the same command goes on from the last checkpoint.", markup=False, highlight=False)
+        remark("Interrupted; the same command goes on from the last checkpoint.")
         raise
     if as_json:
-        print_json(result.model_dump(mode="json"))
+        print_json(result)
         return
     from services.pipeline.result import Outcome, outcome
 
     found = Outcome.model_validate(outcome(result))
-    stdout().print(table(COLUMNS, [cells(name, attack, found)]))
+    say(FittedTable(COLUMNS, [cells(name, attack, found)]))
     if line_of_goal := goal_line(result.spec):
-        stdout().print(line_of_goal, markup=False, highlight=False, soft_wrap=True)
+        say(line_of_goal)
     print_answered(result.questions, out)
     print_subsets(result.subsets, result.attribution)
     print_analyses(result.analyses)
-    for credit in result.provenance.credits:
-        err().print(f"Shown: {credit}", markup=False, highlight=False)
-    err().print(f"Files in {out}", markup=False, highlight=False)
+    remark(*(f"Shown: {credit}" for credit in result.provenance.credits), f"Files in {out}")
 
 
 def _execute(spec: "JobSpec", out: Path, settings: "Settings", line: "JobLine") -> "Result":
@@ -150,8 +158,6 @@ def replay(
 
     The exit code is 0 if the labels agree and, on the same backend, no pixel differs; otherwise it is 1.
     """
-    from client.console import answer_text, err, print_json, table, yes
-    from client.console import out as stdout
     from client.result_folder import check_finished
     from client.settings import settings_to_run
 
@@ -162,25 +168,22 @@ def replay(
 
         again = render_again(directory, library(settings), settings)
     same = again.stored.label == again.replayed.label and (again.pixels_differing == 0 or not again.same_backend)
-    if as_json:
-        print_json(again.model_dump(mode="json") | {"reproduced": same})
-    else:
-        row: list[str | Text] = [
-            answer_text(again.stored),
-            answer_text(again.replayed),
-            yes(again.fooled),
-            f"{again.pixels_differing:,}",
-            yes(again.same_backend),
-            yes(same),
-        ]
-        columns = ("stored", "rendered again", "fooled", "pixels differing>", "same backend", "reproduced")
-        stdout().print(table(columns, [row]))
+    row: list[str | Text] = [
+        answer_text(again.stored),
+        answer_text(again.replayed),
+        yes(again.fooled),
+        f"{again.pixels_differing:,}",
+        yes(again.same_backend),
+        yes(same),
+    ]
+    columns = ("stored", "rendered again", "fooled", "pixels differing>", "same backend", "reproduced")
+    print_found(again.model_dump(mode="json") | {"reproduced": same}, FittedTable(columns, [row]), as_json)
     if not same:
         raise typer.Exit(1)
 
 
 def plan(
-    spec: Annotated[str, typer.Argument(metavar="SPEC", help="A job as JSON; - reads it from stdin.")],
+    spec: SpecArgument,
     as_json: JsonOption = False,
 ) -> None:
     """Print how a job's images would be rendered: the parts kept, those left out and why, and the estimated error.
@@ -189,7 +192,6 @@ def plan(
     no attack; it rasterises the scene, asks the network once, and measures errors of images and gradients. A job that
     cannot run ends with the same error as in `run`.
     """
-    from client.console import err, print_json, report_extensions
     from client.settings import settings_to_run
     from client.specs import read_job
 
@@ -203,46 +205,43 @@ def plan(
         line.update("planning")
         found = compile_plan(job, assets)
     if as_json:
-        print_json(found.model_dump(mode="json"))
+        print_json(found)
     else:
         _print_plan(found)
 
 
 def _print_plan(found: "JobPlan") -> None:
-    from client.console import out, small, table
     from client.tables import print_asked
 
     height, width = found.size
-    out().print(
+    say(
         f"{found.renderer}: {', '.join(found.groups)}, {width}×{height} pixels; tolerance {small(found.tolerance)}, "
         f"estimated error {small(found.error)} of displayed values in [0,1] "
-        + ("(their maximum)" if found.error_is == "maximum" else "(their mean over covered pixels)"),
-        highlight=False,
+        + ("(their maximum)" if found.error_is == "maximum" else "(their mean over covered pixels)")
     )
     print_asked(found.questions)
     kept = [[f"{i.part} {i.what}".strip(), f"{i.kept:,}", f"{i.of:,}", i.why, small(i.error)] for i in found.items]
-    out().print(table(("item", "kept>", "of>", "why the others are left out", "error>"), kept))
+    say(FittedTable(("item", "kept>", "of>", "why the others are left out", "error>"), kept))
     done = [
         [f"{s.part} {s.name}".strip(), s.method, s.when, f"{s.evaluations:,} {s.unit}", s.why, small(s.error)]
         for s in found.stages
     ]
     if done:
-        out().print(table(("stage", "method", "when", "work>", "why", "error>"), done))
+        say(FittedTable(("stage", "method", "when", "work>", "why", "error>"), done))
     if found.gradients:
         rows = [
             [f"{g.part} {g.group}".strip(), small(g.relative), f"{100 * g.wrong_signs:.2g} %"] for g in found.gradients
         ]
-        out().print(table(("gradient", "relative error>", "wrong signs>"), rows))
+        say(FittedTable(("gradient", "relative error>", "wrong signs>"), rows))
     if found.environment_map_error is not None:
-        out().print(
+        say(
             f"environment map's resolution: error {small(found.environment_map_error)} against 64×128 texels, not part "
-            "of the estimated error",
-            highlight=False,
+            "of the estimated error"
         )
 
 
 def render(
-    spec: Annotated[str, typer.Argument(metavar="SPEC", help="A job as JSON; - reads it from stdin.")],
+    spec: SpecArgument,
     out: Annotated[Path | None, typer.Option(help="Write the image to this PNG file.")] = None,
     plan: Annotated[bool, typer.Option("--plan", help="Make the plan, too, and state what the attack costs.")] = False,
     as_json: JsonOption = False,
@@ -251,7 +250,6 @@ def render(
 
     It is what POST /v1/preview answers. A job that cannot run ends with the same error as in `run`.
     """
-    from client.console import err, print_json, report_extensions
     from client.settings import settings_to_run
     from client.specs import read_job
     from services.errors import InvalidRequest
@@ -281,29 +279,24 @@ def render(
         if planned is not None:
             _print_cost(planned)
         if out is not None:
-            err().print(f"Image in {out}", markup=False, highlight=False)
+            remark(f"Image in {out}")
 
 
 def _print_answers(shown: "Preview") -> None:
-    from client.console import err, out, table
+    from client.tables import warn
 
     for one in shown.answers:
         rows = [[label, f"{probability:.3f}"] for label, probability in one.answer.top]
-        out().print(table(("answer", "probability>"), rows, title=one.question))
-    for warning in shown.warnings:
-        err().print(f"warning: {warning.field}: {warning.text}", markup=False, highlight=False)
+        say(FittedTable(("answer", "probability>"), rows, title=one.question))
+    warn(shown.warnings)
 
 
 def _print_cost(planned: "PlannedCost") -> None:
-    from client.console import out, small
-
     plan, cost = planned.plan, planned.cost
     height, width = plan.size
     limit = "" if cost.queries is None else f", at most {cost.queries:,} queries"
-    lines = (
+    say(
         f"{plan.renderer}: {', '.join(plan.groups)}, {width}×{height} pixels; estimated error {small(plan.error)}",
         f"up to {cost.steps:,} steps{limit}; an image takes {1000 * cost.image_seconds:.3g} ms and a query "
         f"{1000 * cost.query_seconds:.3g} ms, so at least {cost.least_seconds:.2g} s in all, and gradients besides",
     )
-    for line in lines:
-        out().print(line, markup=False, highlight=False, soft_wrap=True)

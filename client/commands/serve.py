@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from client.commands.options import DataOption, JsonOption
+from client.console import out, print_found, print_json, say
 
 if TYPE_CHECKING:
     from services.settings import Settings
@@ -100,18 +101,14 @@ def doctor(as_json: JsonOption = False) -> None:
     the service cannot run, and 0 if all is well or the service only lacks something.
     """
     from client.checkup import checkup
-    from client.console import out, print_json
     from client.settings import read_settings
 
     found = []
-    console = out()
     for one in checkup(read_settings()):
         found.append(one)
         if not as_json:
-            console.print(f"[{COLOURS[one.level]}]{one.level:<4}[/]", end="  ")
-            console.print(f"{one.subject}: {one.text}", markup=False, highlight=False, soft_wrap=True)
-            if one.remedy:
-                console.print(f"      → {one.remedy}", markup=False, highlight=False, soft_wrap=True)
+            out().print(f"[{COLOURS[one.level]}]{one.level:<4}[/]", end="  ")
+            say(f"{one.subject}: {one.text}", *([f"      → {one.remedy}"] if one.remedy else []))
     if as_json:
         print_json([asdict(one) for one in found])
     if any(one.level == "fail" for one in found):
@@ -129,13 +126,9 @@ def backup(
     server's version or newer. Artifacts and meshes are those of SCENE_ATTACK_ARTIFACT_URL, or of the data directory.
     The copy is a data directory itself. Jobs that were running are taken up again where it is restored.
     """
-    from client.console import out, print_json
     from client.settings import read_settings
     from services.jobs.backup import back_up
 
     made = back_up(read_settings(data=data), folder)
-    if as_json:
-        print_json({"folder": str(folder), "files": made.files, "bytes": made.size, "jobs": made.jobs})
-    else:
-        said = f"{folder}  {made.jobs:,} jobs, {made.files:,} files, {made.size:,} bytes"
-        out().print(said, markup=False, highlight=False)
+    found = {"folder": str(folder), "files": made.files, "bytes": made.size, "jobs": made.jobs}
+    print_found(found, f"{folder}  {made.jobs:,} jobs, {made.files:,} files, {made.size:,} bytes", as_json)

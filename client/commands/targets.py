@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from client.commands.options import JsonOption
+from client.console import FittedTable, err, print_found, print_json, report_extensions, report_targets, say, yes
 
 if TYPE_CHECKING:
     from rich.text import Text
@@ -24,7 +25,6 @@ def targets(context: typer.Context, as_json: JsonOption = False) -> None:
     """List the networks that can be attacked."""
     if context.invoked_subcommand is not None:
         return
-    from client.console import out, print_json, report_extensions, report_targets, table, yes
     from client.settings import read_settings
     from services.pipeline.extensions import set_up
     from services.targets.info import available
@@ -33,24 +33,15 @@ def targets(context: typer.Context, as_json: JsonOption = False) -> None:
     report_extensions()
     report_targets()
     found = available()
-    if as_json:
-        print_json([info.model_dump(mode="json") for info in found])
-        return
     rows: list[list[str | Text]] = []
     for t in found:
         gradient = "known once loaded" if t.differentiable is None else yes(t.differentiable)
         size = "×".join(map(str, t.input_size))
         rows.append([t.name, t.title, t.task, size, f"{t.classes:,}", gradient, t.licence])
-    out().print(
-        table(
-            ("target", "title", "task", "input", "classes>", "differentiable", "licence"),
-            rows,
-            spare=("licence", "task", "title"),
-        )
-    )
-    for t in found:
-        if t.missing is not None:
-            out().print(f"{t.name}: {t.missing}", markup=False, highlight=False, soft_wrap=True)
+    columns = ("target", "title", "task", "input", "classes>", "differentiable", "licence")
+    print_found(found, FittedTable(columns, rows, spare=("licence", "task", "title")), as_json)
+    if not as_json:
+        say(*(f"{t.name}: {t.missing}" for t in found if t.missing is not None))
 
 
 @app.command(epilog="Example: [bold]scene-attack targets check efficientnet-lite0[/bold]")
@@ -66,7 +57,6 @@ def check(
     The exit code is 2 if it cannot be used; the message says why.
     """
     from client.commands.run import library
-    from client.console import err, print_json, report_extensions
     from client.settings import settings_to_run
 
     settings = settings_to_run()
@@ -77,14 +67,12 @@ def check(
 
         found = try_target(name, mesh, assets, line.update)
     if as_json:
-        print_json(found.model_dump(mode="json"))
+        print_json(found)
     else:
         _print(found)
 
 
 def _print(found: "TargetCheck") -> None:
-    from client.console import out, table
-
     card = found.target
     facts = {
         "target": card.name,
@@ -98,8 +86,8 @@ def _print(found: "TargetCheck") -> None:
         "backend": found.backend,
         "gradient": "yes" if found.gradient else f"no: {found.no_gradient}",
     } | {f"time, batch of {count}": f"{1000 * time:.2f} ms an image" for count, time in found.seconds.items()}
-    out().print(table(("", ""), [[name, value] for name, value in facts.items()]))
+    say(FittedTable(("", ""), facts.items()))
     rows = [[answer.label, f"{answer.probability:.3f}"] for answer in found.answers]
     shown = "a generated scene" if found.mesh is None else f"a view of {found.mesh}"
     asked = f"{found.question!r} about " if found.question else ""
-    out().print(table((f"answer to {asked}{shown}", "probability>"), rows))
+    say(FittedTable((f"answer to {asked}{shown}", "probability>"), rows))

@@ -4,7 +4,7 @@ import io
 
 from rich.console import Console
 
-from client.console import table
+from client.console import FittedTable
 from client.tables import COLUMNS, SPARE
 
 LONG = "normals+illumination+material"
@@ -14,7 +14,7 @@ CELLS = ["grand-piano", f"torch {LONG} fgsm", "grand piano 0.77", "upright 0.41"
 
 def shown(width: int, columns: tuple[str, ...], rows: list[list[str]], spare: tuple[str, ...] = ()) -> list[str]:
     console = Console(width=width, record=True, file=io.StringIO())
-    console.print(table(columns, rows, spare=spare))
+    console.print(FittedTable(columns, rows, spare=spare))
     return console.export_text().splitlines()
 
 

@@ -7,7 +7,7 @@ from typer.testing import CliRunner
 
 from client import Client
 from client.cli import app
-from client.commands.options import campaign_id, job_id
+from client.commands.options import whole_campaign_id, whole_job_id
 from services.errors import InvalidRequest
 from tests.unit.client.scripted_service import Script, client, job, says, script
 
@@ -25,13 +25,13 @@ PAGES = [
 @pytest.mark.parametrize(("text", "found"), [("0f3c", ONE), ("0F3D", TWO), ("a", THREE), ("0f3c…", ONE)])
 def test_a_beginning_is_completed(client: Client, script: Script, text: str, found: str) -> None:
     script.answers = [says(200, page) for page in PAGES]
-    assert job_id(client, text) == found
+    assert whole_job_id(client, text) == found
     asked = f"GET /v1/jobs?q=id%3A{text.strip('…').lower()}&limit=200"  # the service looks for it
     assert script.paths == [asked, f"{asked}&cursor=c"]
 
 
 def test_a_whole_id_is_not_looked_up(client: Client, script: Script) -> None:
-    assert job_id(client, ONE) == ONE
+    assert whole_job_id(client, ONE) == ONE
     assert script.seen == []
 
 
@@ -45,14 +45,14 @@ def test_a_whole_id_is_not_looked_up(client: Client, script: Script) -> None:
 def test_one_that_is_not_one_job_says_so(client: Client, script: Script, text: str, said: str) -> None:
     script.answers = [says(200, page) for page in PAGES]
     with pytest.raises(InvalidRequest) as error:
-        job_id(client, text)
+        whole_job_id(client, text)
     assert (error.value.field, error.value.detail) == ("ID", said)
 
 
 @pytest.mark.parametrize("text", ["piano", "", "../jobs", "0" * 33])
 def test_what_is_no_id_is_refused_before_anybody_is_asked(client: Client, script: Script, text: str) -> None:
     with pytest.raises(InvalidRequest, match="is no id of a campaign"):
-        campaign_id(client, text)
+        whole_campaign_id(client, text)
     assert script.seen == []
 
 

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from client.cli import main
-from client.console import err, out, print_json, table
+from client.console import FittedTable, print_json, remark, say
 
 HOSTILE = "a\x1b]0;b\x07c\x1b[31md\u202ee\x9b2Jf"
 
@@ -15,9 +15,8 @@ def unharmed(text: str) -> bool:
 
 
 def test_cells_lines_and_errors_show_a_replacement(capsys: pytest.CaptureFixture[str]) -> None:
-    out().print(table(("title", "state"), [[HOSTILE, "failed"]], title=HOSTILE))
-    out().print(HOSTILE, markup=False, highlight=False)
-    err().print(f"warning: {HOSTILE}", markup=False, highlight=False)
+    say(FittedTable(("title", "state"), [[HOSTILE, "failed"]], title=HOSTILE), HOSTILE)
+    remark(f"warning: {HOSTILE}")
     shown, said = capsys.readouterr()
     assert shown.count("c\ufffd[31md\ufffde\ufffd2Jf") == 3
     assert unharmed(shown)
