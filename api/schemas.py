@@ -125,33 +125,23 @@ def _fields(job: "Job | ListedJob") -> dict:  # type: ignore[type-arg]
         progress = {"phase": job.phase, "step": job.step, "steps": job.steps}
     if job.failure_kind is not None:
         failure = {"kind": job.failure_kind, "detail": job.failure_detail}
-    return {
-        "id": job.id,
-        "state": job.state,
+    return {name: getattr(job, name) for name in _OF_THE_RECORD} | {
         "created": job.created_at,
         "times": times_of(job),
-        "attempt": job.attempt,
-        "priority": job.priority,
         "waiting": job.waiting if job.state is State.QUEUED else None,
-        "kind": job.kind,
-        "seed": job.seed,
         "progress": progress,
-        "title": job.title,
         "tags": job.tags or [],
-        "retry_of": job.retry_of,
-        "name": job.name,
-        "scene": job.scene,
-        "attack": job.attack,
-        "renderer": job.renderer,
-        "method": job.method,
-        "target": job.target,
-        "question": job.question,
-        "checked": job.checked,
         "errors": job.errors or [],
-        "warnings": job.warnings,
         "outcome": job.outcome or None,
         "failure": failure,
     }
+
+
+_OF_THE_RECORD = (
+    *("id", "state", "attempt", "priority", "kind", "seed", "title", "retry_of", "checked", "warnings"),
+    *("name", "scene", "attack", "renderer", "method", "target", "question"),
+)
+"""The fields of a job that are as the record has them."""
 
 
 class JobPage(BaseModel):
