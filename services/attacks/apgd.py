@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
-from services.attacks.attack import Attack, register, suggested_limits
-from services.attacks.losses import DESCRIPTION, Loss
+from services.attacks.attack import LOSS_DESCRIPTION, Attack, Loss, register, suggested_limits
 from services.attacks.square import groups_without_pixels
 
 if TYPE_CHECKING:
@@ -39,7 +38,7 @@ class Apgd(Attack):
     steps: Annotated[int, Field(ge=1, le=10_000)] = Field(
         100, description="largest number of steps, over which the checkpoints are spread"
     )
-    loss: Loss = Field("log-odds", description=DESCRIPTION)
+    loss: Loss = Field("log-odds", description=LOSS_DESCRIPTION)
     masking_queries: Annotated[int, Field(ge=0, le=100_000)] = Field(
         0,
         description="after an attack that held, `square` tries with at most this number of queries, and the result's "

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, TypeV
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from services.attacks.expectation import Expectation
-from services.attacks.losses import Loss
 from services.extensions import Registry
 from services.rendering.declaration import MAX_STEP, RENDERERS, Group
 from services.scenes.description import Model
@@ -37,6 +36,14 @@ MAX_LABELS = 1000
 """Largest number of labels that count as one answer."""
 Label = Annotated[str, Field(min_length=1, max_length=LONGEST_LABEL)] | Annotated[int, Field(ge=0)]
 Labels = Label | Annotated[tuple[Label, ...], Field(max_length=MAX_LABELS)]
+
+
+Loss = Literal["log-odds", "margin", "dlr"]
+LOSSES: tuple[Loss, ...] = get_args(Loss)
+LOSS_DESCRIPTION = (
+    "what is minimised: `log-odds` of the label to leave (in place of cross-entropy, whose direction it has), `margin` "
+    "of its score over the largest other, or `dlr`, the margin divided by the spread of the largest scores"
+)
 
 LARGEST_SEED = 2**63 - 1
 Seed = Annotated[int, Field(ge=0, le=LARGEST_SEED)]

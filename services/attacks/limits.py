@@ -13,7 +13,6 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
-from services.attacks.seeds import generator
 from services.errors import InvalidRequest
 from services.rendering.protocol import BOUND_SLACK, Parameters
 
@@ -226,16 +225,6 @@ def _check_start(group: str, value: Tensor, bounds: tuple[float, float]) -> None
             f"attack.bounds.{group}",
             f"they exclude the start: the scene itself has a value of {outside:g}, not within {low:g} to {high:g}",
         )
-
-
-def random_start(limits: Limits, seed: int, restart: int) -> Tensor:
-    """A uniformly random perturbation [total] within a box that is finite."""
-    layout = limits.layout
-    shares = [
-        torch.rand(layout.shapes[g].numel(), generator=generator(seed, "start", g, restart), dtype=torch.float64)
-        for g in layout.groups
-    ]
-    return (limits.low + (limits.high - limits.low) * torch.cat(shares)).to(limits.low.dtype)
 
 
 def at_epsilon(perturbation: Mapping[str, Tensor], epsilon: Mapping[str, float]) -> dict[str, Tensor]:

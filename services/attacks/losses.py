@@ -7,8 +7,9 @@ do not saturate on a confident network.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING
 
+from services.attacks.attack import LOSSES, Loss
 from services.errors import InvalidRequest
 
 if TYPE_CHECKING:
@@ -16,18 +17,12 @@ if TYPE_CHECKING:
 
     from services.attacks.goal import ResolvedGoal
 
-Loss = Literal["log-odds", "margin", "dlr"]
-LOSSES: tuple[Loss, ...] = get_args(Loss)
-DESCRIPTION = (
-    "what is minimised: `log-odds` of the label to leave (in place of cross-entropy, whose direction it has), `margin` "
-    "of its score over the largest other, or `dlr`, the margin divided by the spread of the largest scores"
-)
 SMALLEST_SPREAD = 1e-12
 """Added to the spread that the margin is divided by, as in the authors' code: equal scores are possible."""
 
 
 def loss(name: Loss, goal: ResolvedGoal, logits: Tensor) -> Tensor:
-    """The loss `name` of logits [..., K], to be minimised: [...]. Raises InvalidRequest as `check` does."""
+    """The loss `name` of logits [..., K], to be minimised: [...]. Raises InvalidRequest as `check_loss` does."""
     if name == "log-odds":
         return goal.objective(logits)
     if name == "margin":
@@ -35,7 +30,7 @@ def loss(name: Loss, goal: ResolvedGoal, logits: Tensor) -> Tensor:
     return _dlr(goal, logits)
 
 
-def check(name: Loss, goal: ResolvedGoal, classes: int) -> None:
+def check_loss(name: Loss, goal: ResolvedGoal, classes: int) -> None:
     """Raises InvalidRequest("attack.loss") if the loss needs more classes than the network has.
 
     The labels to leave count as one class.
@@ -56,7 +51,7 @@ def _dlr(goal: ResolvedGoal, logits: Tensor) -> Tensor:
     A targeted goal is measured against the largest other score, not against the true label's alone, since any other
     label above the target is a failure.
     """
-    check("dlr", goal, logits.shape[-1])
+    check_loss("dlr", goal, logits.shape[-1])
     top = _merged(goal, logits).topk(_largest_scores(goal), dim=-1).values
     lower = top[..., 2] if goal.reach is None else (top[..., 2] + top[..., 3]) / 2
     return goal.advantage(logits) / (top[..., 0] - lower + SMALLEST_SPREAD)

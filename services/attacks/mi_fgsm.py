@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from services.attacks.attack import Rate, SuggestedRates, register
-from services.attacks.losses import DESCRIPTION, Loss
+from services.attacks.attack import LOSS_DESCRIPTION, Loss, Rate, SuggestedRates, register
 
 if TYPE_CHECKING:
     from services.attacks.attack import State
@@ -31,7 +30,7 @@ class MiFgsm(SuggestedRates):
     decay: Annotated[float, Field(ge=0, le=10)] = Field(
         1.0, description="decay factor μ of the accumulated gradients; 0: the last gradient alone"
     )
-    loss: Loss = Field("log-odds", description=DESCRIPTION)
+    loss: Loss = Field("log-odds", description=LOSS_DESCRIPTION)
     truncation: Annotated[int, Field(ge=1, le=255)] | None = Field(
         18, description="U: largest change of an RGB value from the original inside the loop, in 1/255; null: no limit"
     )

@@ -16,10 +16,11 @@ from typing import Any, Protocol
 import torch
 from torch import Tensor
 
+from services.attacks.attack import Loss
 from services.attacks.expectation import Expectation
 from services.attacks.goal import ResolvedGoal
-from services.attacks.limits import Constraint, Layout, Limits, pulled_back, random_start
-from services.attacks.losses import Loss, loss
+from services.attacks.limits import Constraint, Layout, Limits, pulled_back
+from services.attacks.losses import loss
 from services.attacks.seeds import derived, generator
 from services.device import finite
 from services.errors import JobFailure, named
@@ -281,6 +282,16 @@ def at_random_start(problem: AttackProblem, number: int, first_step: int) -> Att
     """The problem of restart `number`, from 1: it begins at a random point of the box, and has a seed of its own."""
     start = random_start(problem.limits, problem.seed, number)
     return replace(problem, start=start, seed=derived(problem.seed, "restart", number), first_step=first_step)
+
+
+def random_start(limits: Limits, seed: int, restart: int) -> Tensor:
+    """A uniformly random perturbation [total] within a box that is finite."""
+    layout = limits.layout
+    shares = [
+        torch.rand(layout.shapes[g].numel(), generator=generator(seed, "start", g, restart), dtype=torch.float64)
+        for g in layout.groups
+    ]
+    return (limits.low + (limits.high - limits.low) * torch.cat(shares)).to(limits.low.dtype)
 
 
 def evaluate(problem: AttackProblem, delta: Tensor, step: int, gradient: bool = False) -> Evaluation:

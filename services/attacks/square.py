@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
-from services.attacks.attack import Attack, register, renderer_names, suggested_limits
-from services.attacks.losses import DESCRIPTION, Loss
+from services.attacks.attack import LOSS_DESCRIPTION, Attack, Loss, register, renderer_names, suggested_limits
 from services.rendering.declaration import RENDERERS
 
 if TYPE_CHECKING:
@@ -37,7 +36,7 @@ class Square(Attack):
         1000, description="largest number of steps, over which the squares become smaller"
     )
     share: Annotated[float, Field(gt=0, le=1)] = Field(0.8, description="share of the pixels in the first squares")
-    loss: Loss = Field("margin", description=DESCRIPTION)
+    loss: Loss = Field("margin", description=LOSS_DESCRIPTION)
 
     @property
     def objective(self) -> Loss:

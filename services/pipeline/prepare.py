@@ -6,10 +6,10 @@ from weakref import ref
 
 from torch import Tensor
 
-from services.attacks import losses
 from services.attacks.attack import ATTACKS
 from services.attacks.goal import ResolvedGoal
 from services.attacks.limits import box
+from services.attacks.losses import check_loss
 from services.attacks.problem import Surrogate
 from services.attacks.run import Verifier
 from services.errors import InvalidFields, InvalidRequest, named
@@ -152,7 +152,7 @@ def _prepare(spec: JobSpec, library: Library, tolerance: Tolerance) -> Prepared:
     original = to_bytes(exact).cpu()
     logits = _scores(spec, scene, network, verifier, original)
     settled = task.settle(original, logits)
-    losses.check(spec.attack.objective, settled.goal, len(target.labels))
+    check_loss(spec.attack.objective, settled.goal, len(target.labels))
     return Prepared(
         spec=spec.model_copy(update={"goal": settled.spec}),
         scene=scene,

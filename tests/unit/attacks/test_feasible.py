@@ -13,9 +13,9 @@ from services.attacks.limits import (
     Limits,
     box,
     pulled_back,
-    random_start,
     reached,
 )
+from services.attacks.problem import random_start
 from services.errors import InvalidRequest
 from tests.unit.attacks.small import Ahead, FreeRenderer, LinearRenderer, attack, problem
 

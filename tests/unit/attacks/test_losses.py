@@ -3,8 +3,9 @@
 import pytest
 import torch
 
+from services.attacks.attack import LOSSES
 from services.attacks.goal import ResolvedGoal
-from services.attacks.losses import LOSSES, check, loss
+from services.attacks.losses import check_loss, loss
 from services.errors import InvalidRequest
 
 LOGITS = torch.randn(20, 6, dtype=torch.float64, generator=torch.Generator().manual_seed(2)) * 4
@@ -73,8 +74,8 @@ def test_labels_to_leave_together_are_one_class() -> None:
     [(ResolvedGoal((0,), None), 3, 3), (ResolvedGoal((0, 2), None), 3, 4), (ResolvedGoal((), 1), 4, 4)],
 )
 def test_dlr_is_refused_for_fewer_classes_than_it_sorts(goal: ResolvedGoal, least: int, classes: int) -> None:
-    check("dlr", goal, classes)
+    check_loss("dlr", goal, classes)
     with pytest.raises(InvalidRequest, match=f"dlr needs at least {least} classes .* here are {least - 1}") as error:
-        check("dlr", goal, classes - 1)
+        check_loss("dlr", goal, classes - 1)
     assert error.value.field == "attack.loss"
-    check("margin", goal, 2)
+    check_loss("margin", goal, 2)
