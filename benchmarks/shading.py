@@ -23,7 +23,7 @@ from torch import Tensor
 from benchmarks.plain_shading import PlainShading
 from benchmarks.report import RESULTS, save, shortest
 from client.settings import settings_to_run
-from services.attacks.seeds import generator
+from services.attacks.problem import generator
 from services.pipeline.spec import parse
 from services.rendering.factory import build
 from services.rendering.protocol import Parameters, Renderer

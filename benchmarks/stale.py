@@ -187,7 +187,7 @@ def _behaviour(renderer: Renderer) -> Iterator[Tensor]:
     """Images uint8 [2, H, W, 3], the scene's own and a moved one, and rounded gradients of a weighted sum by group."""
     import torch
 
-    from services.attacks.seeds import generator
+    from services.attacks.problem import generator
     from services.rendering.color import quantize
 
     own = renderer.initial()
@@ -212,7 +212,7 @@ def network_print(name: str) -> str:
     """A hash of a network's scores, in float64, for four fixed images of 96 × 128: noise of several grains."""
     import torch
 
-    from services.attacks.seeds import generator
+    from services.attacks.problem import generator
     from services.targets import registry
 
     target = registry.load(name, torch.float64)

@@ -11,7 +11,7 @@ from services.errors import InvalidRequest
 
 if TYPE_CHECKING:
     from api.schemas import ArtifactView
-    from services.attacks.attack import Goal
+    from services.attacks.request import Goal
     from services.pipeline.spec import JobSpec
 
 REMEDY = "name another folder, or remove this one"

@@ -10,7 +10,7 @@ from typing import Any
 
 from api.dashboard.charts import Chart, Upset, chart, upset
 from api.dashboard.questions import Question, SceneObject, objects, questions
-from services.attacks.verdict import judge
+from services.attacks.outcome import judge
 from services.jobs.job_list import ListedJob
 from services.jobs.models import Artifact, Event, Job, State
 from services.jobs.record import Record

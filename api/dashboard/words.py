@@ -5,8 +5,8 @@ from collections.abc import Mapping
 from datetime import datetime
 from typing import Any
 
-from services.attacks.verdict import WRONG_BEFORE as WRONG_BEFORE
-from services.attacks.verdict import held_within as held_within
+from services.attacks.outcome import WRONG_BEFORE as WRONG_BEFORE
+from services.attacks.outcome import held_within as held_within
 from services.text import signed
 
 FAILURES = {

@@ -10,7 +10,7 @@ from typing import Any, Self
 from pydantic import BaseModel, ConfigDict, model_validator
 
 from services.analysis.campaign_table import Case, MeanCurves, Table, table
-from services.attacks.verdict import SUCCESS
+from services.attacks.outcome import SUCCESS
 
 
 class _Record(BaseModel):

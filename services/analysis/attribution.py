@@ -19,8 +19,8 @@ from services.analysis.records import Attribution, Shares, Subset
 from services.analysis.requests import By
 from services.analysis.subsets import ScoredImage
 from services.attacks.goal import ResolvedGoal
+from services.attacks.problem import generator
 from services.attacks.run import Verifier
-from services.attacks.seeds import generator
 from services.rendering.protocol import Parameters
 
 Value = Callable[[int], Tensor]

@@ -4,7 +4,7 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from services.attacks.verdict import Verdict
+from services.attacks.outcome import Verdict
 from services.rendering.physical_change import PhysicalChange
 
 

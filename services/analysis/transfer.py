@@ -11,8 +11,8 @@ from torch import Tensor
 from services.analysis.records import Transferred
 from services.analysis.rerendering import said
 from services.attacks.goal import ResolvedGoal
+from services.attacks.outcome import judge
 from services.attacks.run import Verifier
-from services.attacks.verdict import judge
 
 
 @dataclass(frozen=True)

@@ -70,7 +70,7 @@ class CmaEs(SearchWithinLimits):
         import numpy as np
         import torch
 
-        from services.attacks.seeds import derived
+        from services.attacks.problem import derived
 
         optimiser = self._optimiser(problem)
         _restore(optimiser, state)

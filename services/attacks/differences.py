@@ -20,8 +20,7 @@ from typing import Self
 import torch
 from torch import Tensor
 
-from services.attacks.problem import AttackProblem, check_graph, quantize
-from services.attacks.seeds import draw
+from services.attacks.problem import AttackProblem, check_graph, draw, quantize
 from services.rendering.protocol import InactiveCoordinate
 from services.rendering.variation import Variation, varied
 

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from services.attacks.attack import LOSS_DESCRIPTION, Loss, Rate, SuggestedRates, register
+from services.attacks.attack import Rate, SuggestedRates, register
+from services.attacks.request import LOSS_DESCRIPTION, Loss
 
 if TYPE_CHECKING:
     from services.attacks.attack import State

@@ -8,6 +8,7 @@ scores that are no numbers have a largest one too.
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from math import nan, radians
@@ -16,12 +17,9 @@ from typing import Any, Protocol
 import torch
 from torch import Tensor
 
-from services.attacks.attack import Loss
-from services.attacks.expectation import Expectation
-from services.attacks.goal import ResolvedGoal
+from services.attacks.goal import ResolvedGoal, loss
 from services.attacks.limits import Constraint, Layout, Limits, pulled_back
-from services.attacks.losses import loss
-from services.attacks.seeds import derived, generator
+from services.attacks.request import Expectation, Loss
 from services.device import finite
 from services.errors import JobFailure, named
 from services.rendering import color
@@ -381,6 +379,26 @@ def draw_variation(asked: Expectation, seed: int, *words: str | int) -> Variatio
         noise=asked.noise / 255,
         seed=derived(seed, "camera noise", *words),
     )
+
+
+# Random numbers of an attack that may be resumed: each step has a generator of its own, derived from the job's seed
+
+
+def generator(seed: int, *words: str | int) -> torch.Generator:
+    """A CPU generator that depends on the seed and on `words` alone, which name the purpose and the step."""
+    return torch.Generator().manual_seed(derived(seed, *words))
+
+
+def derived(seed: int, *words: str | int) -> int:
+    """A seed of 63 bits that depends on the seed and on `words` alone."""
+    text = "/".join([str(seed), *map(str, words)])
+    return int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "big") % 2**63
+
+
+def draw(pool: Tensor, count: int, seed: int, *words: str | int) -> Tensor:
+    """Draws `count` distinct elements of `pool` [n], in ascending order; all of them if n is smaller."""
+    chosen = torch.randperm(len(pool), generator=generator(seed, *words))[:count]
+    return pool[chosen].sort().values
 
 
 def quantize(images: Tensor) -> tuple[Tensor, Tensor]:

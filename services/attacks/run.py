@@ -17,6 +17,7 @@ from services import disk
 from services.attacks.attack import Attack, State
 from services.attacks.differences import ImageDifferences
 from services.attacks.goal import ResolvedGoal
+from services.attacks.outcome import TraceRow
 from services.attacks.problem import (
     AttackProblem,
     Counts,
@@ -29,7 +30,6 @@ from services.attacks.problem import (
     evaluate,
 )
 from services.attacks.square import Square
-from services.attacks.trace import TraceRow
 from services.errors import JobFailure, named, summary
 from services.rendering.color import from_bytes, to_bytes
 from services.rendering.plan import ImageError

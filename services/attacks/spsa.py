@@ -72,7 +72,7 @@ def draw_directions(kind: str, count: int, total: int, seed: int, step: int) -> 
     """`count` random directions of a step, float64 [count, total]: ±1 for the kind "signs", else standard normal."""
     import torch
 
-    from services.attacks.seeds import generator
+    from services.attacks.problem import generator
 
     random = generator(seed, "spsa", step)
     if kind == "signs":

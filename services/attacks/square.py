@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
-from services.attacks.attack import LOSS_DESCRIPTION, Attack, Loss, register, renderer_names, suggested_limits
+from services.attacks.attack import Attack, register, renderer_names, suggested_limits
+from services.attacks.request import LOSS_DESCRIPTION, Loss
 from services.rendering.declaration import RENDERERS
 
 if TYPE_CHECKING:

@@ -134,7 +134,7 @@ class Zoo(Attack):
         counted. Raises JobFailure("non-finite").
         """
         from services.attacks.differences import estimate
-        from services.attacks.seeds import draw
+        from services.attacks.problem import draw
 
         at, step = evaluation.delta.to(state["delta"].dtype), evaluation.step
         half_steps, noise = state["half_steps"], float(state["noise"])

@@ -24,7 +24,8 @@ from pydantic import (
 )
 
 from services.analysis.requests import AnalysisRequest
-from services.attacks.attack import Attack, Goal, Seed
+from services.attacks.attack import Attack
+from services.attacks.request import Goal, Seed
 from services.errors import InvalidFields, InvalidRequest
 from services.names import Names, reference
 from services.pipeline.field_errors import invalid_fields

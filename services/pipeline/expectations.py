@@ -7,7 +7,7 @@ from typing import Any
 import torch
 
 from services.attacks.attack import Attack
-from services.attacks.expectation import VIEWS, Expectation
+from services.attacks.request import VIEWS, Expectation
 from services.errors import InvalidRequest
 from services.rendering.declaration import RENDERERS
 from services.rendering.plan import Plan, Stage

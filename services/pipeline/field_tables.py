@@ -14,7 +14,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from services.attacks.attack import ATTACKS
-from services.attacks.expectation import Expectation
+from services.attacks.request import Expectation
 from services.pipeline.campaign_spec import CampaignSpec
 from services.pipeline.spec import JobSpec
 from services.rendering.declaration import RENDERERS

@@ -14,10 +14,10 @@ from torch import Tensor
 from services.analysis.images import answer
 from services.analysis.subsets import ScoredImage
 from services.analysis.transfer import indices
-from services.attacks.attack import MAX_LABELS, Goal
 from services.attacks.goal import ResolvedGoal
 from services.attacks.limits import Constraint
-from services.attacks.verdict import Verdict, judge
+from services.attacks.outcome import Verdict, judge
+from services.attacks.request import MAX_LABELS, Goal
 from services.errors import InvalidRequest
 from services.pipeline.preview_record import FirstAnswer
 from services.pipeline.question_record import Asked, QuestionResult

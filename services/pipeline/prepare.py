@@ -7,9 +7,8 @@ from weakref import ref
 from torch import Tensor
 
 from services.attacks.attack import ATTACKS
-from services.attacks.goal import ResolvedGoal
+from services.attacks.goal import ResolvedGoal, check_loss
 from services.attacks.limits import box
-from services.attacks.losses import check_loss
 from services.attacks.problem import Surrogate
 from services.attacks.run import Verifier
 from services.errors import InvalidFields, InvalidRequest, named

@@ -15,9 +15,9 @@ from torch import Tensor
 from services.analysis.images import answer as answer_to
 from services.analysis.images import save_png
 from services.analysis.subsets import ScoredImage
-from services.attacks.attack import Goal
 from services.attacks.goal import ResolvedGoal
-from services.attacks.verdict import SUCCESS, Verdict, judge
+from services.attacks.outcome import SUCCESS, Verdict, judge
+from services.attacks.request import Goal
 from services.errors import InvalidRequest
 from services.pipeline.described import can_carry, described
 from services.pipeline.goals import Classification, Settled, Task

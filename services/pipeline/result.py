@@ -10,8 +10,7 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from services.analysis.records import Analyses, Answer, Attribution, HeldOver, Subset
-from services.attacks.trace import TraceRow
-from services.attacks.verdict import SUCCESS, Verdict
+from services.attacks.outcome import SUCCESS, TraceRow, Verdict
 from services.pipeline.question_record import QuestionResult
 from services.rendering.physical_change import Change
 from services.rendering.plan import ImageError, Plan

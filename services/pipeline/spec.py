@@ -30,7 +30,8 @@ from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, cor
 
 from services.analysis.records import Rerendering
 from services.analysis.requests import AnalysisRequest, RerenderingRequest
-from services.attacks.attack import ATTACKS, Attack, Goal, Label, Labels, Seed
+from services.attacks.attack import ATTACKS, Attack
+from services.attacks.request import Goal, Label, Labels, Seed
 from services.errors import InvalidFields, InvalidRequest
 from services.names import Names, reference, unknown_parts
 from services.pipeline.field_errors import invalid_fields

@@ -9,7 +9,7 @@ import torch
 from typer.testing import CliRunner
 
 from client.cli import app
-from services.attacks.seeds import generator
+from services.attacks.problem import generator
 from services.device import check_device, describe, device
 from services.errors import InvalidRequest
 from services.pipeline.execute import execute

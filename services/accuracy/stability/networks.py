@@ -17,12 +17,11 @@ from services.accuracy.stability.case import Case, Measured, need
 from services.accuracy.stability.objects import SIDE, linear_network
 from services.accuracy.stability.references import displayed
 from services.accuracy.stability.torch_shading import Shading
-from services.attacks.attack import LARGEST_SEED, Seed
 from services.attacks.fgsm import Fgsm
 from services.attacks.goal import ResolvedGoal
-from services.attacks.problem import AttackProblem
+from services.attacks.problem import AttackProblem, generator
+from services.attacks.request import LARGEST_SEED, Seed
 from services.attacks.run import AttackRun, Verifier, run_attack
-from services.attacks.seeds import generator
 from services.errors import InvalidRequest
 from services.rendering.color import as_saved, to_display
 from services.rendering.image_renderer import ImageRenderer

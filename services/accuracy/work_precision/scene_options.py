@@ -9,7 +9,7 @@ from torch import Tensor
 
 from services.accuracy.placing import library
 from services.accuracy.work_precision.shading import repeated, subject, values_of
-from services.attacks.seeds import generator
+from services.attacks.problem import generator
 from services.rendering.factory import build
 from services.rendering.opengl.gbuffer import rasterise
 from services.rendering.plan import Tolerance, image_error

@@ -14,7 +14,7 @@ from torch import Tensor
 from torch.nn.functional import interpolate
 
 from services.accuracy.placing import placed
-from services.attacks.seeds import generator
+from services.attacks.problem import generator
 from services.process import replaced
 from services.rendering.color import to_display
 from services.rendering.kernels import compiled

@@ -9,7 +9,7 @@ from services.accuracy.placing import library
 from services.accuracy.work_precision import scene_options
 from services.accuracy.work_precision.attacks import wrong_signs
 from services.accuracy.work_precision.shading import GROUPS, Subject, subject, truth
-from services.attacks.seeds import generator
+from services.attacks.problem import generator
 from services.rendering.torch_renderer.planner import exact_recipe
 from services.rendering.torch_renderer.shader import Shader
 from tests.unit.accuracy import independent

@@ -90,7 +90,7 @@ def test_members_are_pulled_back_before_they_are_asked_about() -> None:
 
 def test_the_first_generation_is_the_packages_own() -> None:
     """The same members as cmaes draws for the same mean, step size, bounds and seed, in units of the spread."""
-    from services.attacks.seeds import derived
+    from services.attacks.problem import derived
 
     case, _ = bowl(seed=4)
     spread = case.layout.spread({"a": 0.1, "b": 0.1 / 3}).numpy()

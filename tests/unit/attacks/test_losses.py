@@ -3,9 +3,8 @@
 import pytest
 import torch
 
-from services.attacks.attack import LOSSES
-from services.attacks.goal import ResolvedGoal
-from services.attacks.losses import check_loss, loss
+from services.attacks.goal import ResolvedGoal, check_loss, loss
+from services.attacks.request import LOSSES
 from services.errors import InvalidRequest
 
 LOGITS = torch.randn(20, 6, dtype=torch.float64, generator=torch.Generator().manual_seed(2)) * 4

@@ -6,10 +6,10 @@ import pytest
 import torch
 
 from services.attacks.differences import ImageDifferences
-from services.attacks.expectation import Expectation
 from services.attacks.goal import ResolvedGoal
 from services.attacks.p_rgf import PRgf, projected_gradient, surrogate_gradient
 from services.attacks.problem import AttackProblem, Surrogate
+from services.attacks.request import Expectation
 from services.attacks.run import AttackRun, Verifier, run_attack
 from services.attacks.spsa import draw_directions
 from services.rendering.protocol import InactiveCoordinate

@@ -9,9 +9,9 @@ from torch import Tensor
 
 from services.attacks.attack import ATTACKS
 from services.attacks.differences import ImageDifferences, estimate
-from services.attacks.expectation import Expectation
 from services.attacks.goal import ResolvedGoal
 from services.attacks.problem import AttackProblem, differentiate, draw_variation, evaluate
+from services.attacks.request import Expectation
 from services.attacks.run import AttackRun
 from services.rendering.factory import build
 from services.rendering.variation import Variation, noisy

@@ -4,7 +4,7 @@ from itertools import product
 
 import pytest
 
-from services.attacks.verdict import SUCCESS, Verdict, judge
+from services.attacks.outcome import SUCCESS, Verdict, judge
 
 TRUTH, RIGHT, ALSO_RIGHT, WRONG, ALSO_WRONG = (0, 1), 0, 1, 2, 3
 

@@ -10,8 +10,8 @@ import torch
 from safetensors.torch import load_file
 
 from services.analysis.images import load_png
+from services.attacks.outcome import held_within
 from services.attacks.run import AttackRun, run_attack
-from services.attacks.verdict import held_within
 from services.errors import Cancelled
 from services.pipeline.execute import Progress, execute
 from services.pipeline.prepare import prepare

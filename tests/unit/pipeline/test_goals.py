@@ -5,8 +5,8 @@ from typing import Any
 import pytest
 import torch
 
-from services.attacks.attack import MAX_LABELS, Goal
 from services.attacks.goal import ResolvedGoal
+from services.attacks.request import MAX_LABELS, Goal
 from services.errors import InvalidRequest
 from services.pipeline import goals, spec
 from services.pipeline.goals import Settled

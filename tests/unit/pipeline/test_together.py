@@ -6,8 +6,8 @@ from typing import Any, cast
 import torch
 from torch import Tensor
 
-from services.attacks.attack import Goal
 from services.attacks.goal import ResolvedGoal
+from services.attacks.request import Goal
 from services.pipeline.questions import Together, goals_together, outcome_of
 from services.questions.executor import ANSWERS, KINDS
 from services.targets.protocol import ProgramTarget
