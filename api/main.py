@@ -45,10 +45,10 @@ from services.device import check_device
 from services.errors import InvalidRequest
 from services.jobs import watchdog
 from services.jobs.campaigns import CampaignService
+from services.jobs.child import WARM_PROCESSES
 from services.jobs.database import check_database, migrate
 from services.jobs.database import connect as connect_database
 from services.jobs.files import ArtifactStore, Housekeeping, Storage
-from services.jobs.memory_limit import WARM_PROCESSES
 from services.jobs.queue import Queue
 from services.jobs.queue import connect as connect_redis
 from services.jobs.record import Record

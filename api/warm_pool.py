@@ -130,7 +130,7 @@ class WarmProcess:
         Raises ChildDied and OutOfMemory.
         """
         deadline = time.monotonic() + seconds
-        while (left := deadline - time.monotonic()) > 0 and child.still_seconds() < self._settings.stall_seconds:
+        while (left := deadline - time.monotonic()) > 0 and child.idle_seconds() < self._settings.stall_seconds:
             answer = child.receive(min(left, 1.0))
             if answer is not None:
                 return answer

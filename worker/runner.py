@@ -84,7 +84,7 @@ class Runner:
         try:
             while (ready := child.receive(POLL_SECONDS)) is None:
                 watchdog.alive()
-                hangs = child.still_seconds() > self._settings.stall_seconds
+                hangs = child.idle_seconds() > self._settings.stall_seconds
                 if self._stopping or hangs or time.monotonic() - started > START_SECONDS:
                     self.close()
                     raise ChildDied
@@ -162,7 +162,7 @@ class Runner:
                 why = f"it ran longer than {self._settings.job_seconds:g} seconds"
                 self._record.leases.fail(attempt, "timeout", why)
                 return
-            if child.still_seconds() > self._settings.stall_seconds:
+            if child.idle_seconds() > self._settings.stall_seconds:
                 log.warning("job process hangs", job=attempt.job_id, attempt=attempt.number, pid=child.pid)
                 raise ChildDied
             if stop_requested_at is not None and now - stop_requested_at > STOP_SECONDS:

@@ -18,7 +18,7 @@ from api.state import Services, ServicesDependency, names_of, no_such
 from services.access.caller import Caller
 from services.attacks.attack import ATTACKS
 from services.errors import InvalidRequest
-from services.jobs.memory_limit import WARM_PROCESSES
+from services.jobs.child import WARM_PROCESSES
 from services.jobs.placement import Demand, Priority
 from services.names import Names
 from services.pipeline.spec import JobSpec, problems

@@ -1,17 +1,18 @@
 """A child process that stays warm, answers requests over a pipe, and never outlives its parent.
 
 It is spawned as a fresh interpreter, because a fork hangs after its parent has used OpenGL or torch. A message is a
-JSON object.
+JSON object. The parent limits its memory, so that all processes together fit the machine, and notices if it hangs.
 """
 
 import json
 import os
 import re
+import resource
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
@@ -21,8 +22,7 @@ from threading import Thread, Timer
 from typing import Any
 
 from services.confinement.system_calls import die_with_parent
-from services.jobs.memory_limit import memory_limit, more_than
-from services.jobs.stillness import Stillness
+from services.scenes.isolated_reading import READING_BYTES
 from services.settings import Settings
 
 ALLOCATOR = {
@@ -77,7 +77,7 @@ class Child:
         )
         theirs.close()
         self._ended = False
-        self._stillness = Stillness(self.pid)
+        self._hangs = HangDetector(self.pid)
         self.limit = memory_limit(settings)
 
     @property
@@ -100,13 +100,13 @@ class Child:
             return 0
         return 1024 * sum(int(size) for size in _RESIDENT.findall(status))
 
-    def still_seconds(self) -> float:
-        """How long the child has done nothing, in seconds; see `Stillness`."""
-        return self._stillness.seconds()
+    def idle_seconds(self) -> float:
+        """How long the child has done nothing, in seconds; see `HangDetector`."""
+        return self._hangs.seconds()
 
     def send(self, message: dict[str, Any]) -> None:
         """Sends a request. Raises ChildDied."""
-        self._stillness = Stillness(self.pid)
+        self._hangs = HangDetector(self.pid)
         limit = Timer(SEND_SECONDS, self.end)  # the pipe holds less than a large request
         limit.start()
         try:
@@ -177,3 +177,97 @@ def _read(connection: Connection, inbox: "SimpleQueue[bytes]") -> None:
 def reply(connection: Connection, message: dict[str, Any]) -> None:
     """Sends an answer to the parent."""
     connection.send_bytes(json.dumps(message).encode())
+
+
+MEASURE_SECONDS = 1.0
+"""Shortest time between two measurements."""
+LONGEST_GAP = 2.0
+"""A longer gap between two measurements means that this process, or the machine, was suspended."""
+SIGN_SECONDS = 0.05
+"""Processor time that is a sign of life. A process that polls every second uses less in the time allowed."""
+_TICKS = os.sysconf("SC_CLK_TCK")
+
+
+class HangDetector:
+    """Measures how long the processes of a session have done nothing. `session` is the process id of its leader.
+
+    A process that is stopped or deadlocked, or waits for an answer that never comes, uses no processor time; a
+    computation does, however long it takes.
+    """
+
+    def __init__(self, session: int, clock: Callable[[], float] = time.monotonic) -> None:
+        self._session = session
+        self._clock = clock
+        self._looked = clock()
+        self._used = processor_seconds(session)
+        self._still = 0.0
+
+    def seconds(self) -> float:
+        """The time in seconds since the last sign of life, as far as the caller was awake to see it pass."""
+        now = self._clock()
+        gap = now - self._looked
+        if gap >= MEASURE_SECONDS:
+            self._looked = now
+            used = processor_seconds(self._session)
+            if abs(used - self._used) >= SIGN_SECONDS:
+                self._used, self._still = used, 0.0
+            else:
+                self._still += min(gap, LONGEST_GAP)
+        return self._still
+
+
+def processor_seconds(session: int) -> float:
+    """Processor time in seconds that the living processes of a session, and those they waited for, have used."""
+    ticks = 0
+    for entry in os.scandir("/proc"):
+        if entry.name.isdigit():
+            with suppress(OSError):  # it has ended meanwhile
+                fields = Path(entry.path, "stat").read_text().rpartition(")")[2].split()
+                if int(fields[3]) == session:
+                    ticks += sum(int(value) for value in fields[11:15])
+    return ticks / _TICKS
+
+
+WARM_PROCESSES = 2
+"""Processes of the API that render (`api.warm_pool`)."""
+REST_BYTES = 2 * 2**30
+"""What the API, the workers, the supervisor, Redis and the system take."""
+LEAST_MEMORY, MOST_MEMORY = 4 * 2**30, 16 * 2**30
+"""Bounds of the default. A warm process has 1.1 GB of data (1.4 GB with PyTorch's CUDA build), and 2.0 GB (2.3 GB) with
+an image of 1024×1024 pixels."""
+
+
+def memory_limit(values: Settings) -> int:
+    """Bytes of memory of a job process, and of each of the two that check and preview requests and make exports.
+
+    The default is an equal share of the machine's memory, after READING_BYTES and REST_BYTES.
+    """
+    if values.job_memory_bytes is not None:
+        return values.job_memory_bytes
+    processes = values.workers + WARM_PROCESSES
+    share = (machine_memory() - READING_BYTES - REST_BYTES) // processes
+    return min(max(share, LEAST_MEMORY), MOST_MEMORY)
+
+
+def limit_memory(values: Settings) -> None:
+    """Lets every allocation of this process fail that takes its data beyond the limit.
+
+    Data is what the process may write and shares with nobody. Address space would not do: PyTorch's CUDA build reserves
+    gigabytes of it that it never uses. Shared memory is not counted; the parent looks at it (`Child`).
+    """
+    limit = memory_limit(values)
+    resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
+
+
+def more_than(limit: int) -> str:
+    """The end of a sentence about a process that needs more than `limit` bytes, with the setting that limits it."""
+    return f"more memory than SCENE_ATTACK_JOB_MEMORY_BYTES allows a process, {limit / 2**30:.3g} GiB"
+
+
+def machine_memory(limit: Path = Path("/sys/fs/cgroup/memory.max")) -> int:
+    """Bytes of the machine's memory, or of the container's `limit` if that is less."""
+    physical = os.sysconf("SC_PHYS_PAGES") * resource.getpagesize()
+    try:
+        return min(physical, int(limit.read_text()))
+    except (OSError, ValueError):  # there is no control group, or it has no limit ("max")
+        return physical

@@ -15,10 +15,9 @@ from services.export import ASSET, BUNDLE
 from services.export.bundle import read_finished, write_bundle, zipped
 from services.export.glb import asset_glb
 from services.jobs.child import OUT_OF_MEMORY, connect, reply, requests
-from services.jobs.cpu_share import CHECKING, give_way
 from services.jobs.files import ArtifactStore, Damaged
 from services.jobs.outages import outage_of
-from services.jobs.warm_up import warm_up
+from services.jobs.warm_up import CHECKING, give_way, warm_up
 from services.logs import configure, logger
 from services.pipeline.prepare import preflight
 from services.pipeline.preview import planned_cost, preview

@@ -1,16 +1,27 @@
-"""Start-up of every process that renders and classifies. It is the same for all, so that their images agree."""
+"""Start-up of every process that renders and classifies. It is the same for all, so that their images agree, and others
+than job processes go first where processor time is short.
+"""
 
+import os
 import resource
+from contextlib import suppress
+from pathlib import Path
 
 import torch
 
 from services.confinement.system_calls import forbid_new_privileges
-from services.jobs.memory_limit import limit_memory
+from services.jobs.child import limit_memory
 from services.pipeline.extensions import log_extensions, set_up
 from services.pipeline.spec import DEFAULT_TARGET
 from services.rendering.opengl.context import gl_backend
 from services.settings import Settings
 from services.targets import registry
+
+NICENESS = 10
+"""Of job processes: one of niceness 0 gets about nine times as much, so that the API answers while workers are busy."""
+CHECKING = 5
+"""Niceness of the processes that check and preview requests: before jobs, and after the API."""
+AUTOGROUP = Path("/proc/self/autogroup")
 
 
 def warm_up(values: Settings) -> str:
@@ -27,3 +38,13 @@ def warm_up(values: Settings) -> str:
     log_extensions()
     registry.load(DEFAULT_TARGET)
     return gl_backend()
+
+
+def give_way(niceness: int = NICENESS) -> None:
+    """Lets processes of ordinary niceness go first, from now on. Alone on the machine, this one runs as fast as before.
+
+    Linux may share the processor between sessions first (autogroups), so that the niceness of the session counts.
+    """
+    os.nice(niceness)
+    with suppress(OSError):  # a kernel without autogroups
+        AUTOGROUP.write_text(str(niceness))

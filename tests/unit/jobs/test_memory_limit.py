@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from services.jobs import memory_limit as module
-from services.jobs.memory_limit import LEAST, MOST, REST_BYTES, machine_memory, memory_limit
+from services.jobs import child as module
+from services.jobs.child import LEAST_MEMORY, MOST_MEMORY, REST_BYTES, machine_memory, memory_limit
 from services.scenes.isolated_reading import READING_BYTES
 from services.settings import Settings
 
@@ -18,13 +18,13 @@ def test_the_limits_add_up_to_less_than_the_machine(monkeypatch, machine, worker
     monkeypatch.setattr(module, "machine_memory", lambda: machine * GIB)
     limit = memory_limit(Settings(workers=workers))
     total = (workers + 2) * limit + READING_BYTES + REST_BYTES
-    assert total <= machine * GIB or limit == LEAST
-    assert LEAST <= limit <= MOST
+    assert total <= machine * GIB or limit == LEAST_MEMORY
+    assert LEAST_MEMORY <= limit <= MOST_MEMORY
 
 
 def test_a_large_machine_has_the_largest_default(monkeypatch):
     monkeypatch.setattr(module, "machine_memory", lambda: 1_000 * GIB)
-    assert memory_limit(Settings()) == MOST
+    assert memory_limit(Settings()) == MOST_MEMORY
     assert memory_limit(Settings(job_memory_bytes=5 * GIB)) == 5 * GIB
 
 

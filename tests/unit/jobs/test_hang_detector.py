@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from services.jobs.stillness import LONGEST_GAP, SIGN_SECONDS, Stillness, processor_seconds
+from services.jobs.child import LONGEST_GAP, SIGN_SECONDS, HangDetector, processor_seconds
 
 pytestmark = pytest.mark.slow
 
@@ -36,18 +36,18 @@ def use(session: int, seconds: float) -> None:
 
 def test_a_process_that_computes_is_not_still_and_a_stopped_one_is(spinning: "subprocess.Popen[bytes]") -> None:
     clock = Seconds()
-    stillness = Stillness(spinning.pid, clock)
+    detector = HangDetector(spinning.pid, clock)
     for _ in range(3):
         use(spinning.pid, SIGN_SECONDS)
         clock.now += 1
-        assert stillness.seconds() == 0
+        assert detector.seconds() == 0
     os.kill(spinning.pid, signal.SIGSTOP)
     clock.now += 1
-    stillness.seconds()  # it may have used some before it was stopped
-    before = stillness.seconds()
+    detector.seconds()  # it may have used some before it was stopped
+    before = detector.seconds()
     for n in range(1, 4):
         clock.now += 1
-        assert stillness.seconds() == before + n
+        assert detector.seconds() == before + n
 
 
 def test_what_its_children_compute_counts(spinning: "subprocess.Popen[bytes]") -> None:
@@ -62,6 +62,6 @@ def test_what_its_children_compute_counts(spinning: "subprocess.Popen[bytes]") -
 def test_time_in_which_the_caller_slept_itself_does_not_count(spinning: "subprocess.Popen[bytes]") -> None:
     os.kill(spinning.pid, signal.SIGSTOP)
     clock = Seconds()
-    stillness = Stillness(spinning.pid, clock)
+    detector = HangDetector(spinning.pid, clock)
     clock.now += 3600
-    assert stillness.seconds() <= LONGEST_GAP
+    assert detector.seconds() <= LONGEST_GAP
