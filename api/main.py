@@ -35,12 +35,8 @@ from api.submissions import Submissions
 from api.uploads import MeshUploads
 from api.warm_pool import WarmPool, WarmProcess
 from api.watchers import ListWatcher, Watcher
-from services.access.assets import OwnedAssets
-from services.access.caller import Caller
-from services.access.keys import AccessKeys
-from services.access.listening import check_listening, listen
-from services.access.quotas import Quotas
-from services.access.sessions import Sessions
+from services.access.caller import Caller, OwnedAssets, Quotas
+from services.access.keys import AccessKeys, Sessions, check_listening, listen
 from services.device import check_device
 from services.errors import InvalidRequest
 from services.jobs import watchdog

@@ -12,11 +12,8 @@ from api.submissions import Submissions
 from api.uploads import MeshUploads
 from api.warm_pool import WarmPool
 from api.watchers import ListWatcher, Watcher
-from services.access.assets import OwnedAssets
-from services.access.caller import Caller
-from services.access.keys import AccessKeys
-from services.access.quotas import Quotas
-from services.access.sessions import Sessions
+from services.access.caller import Caller, OwnedAssets, Quotas
+from services.access.keys import AccessKeys, Sessions
 from services.jobs.campaigns import CampaignService
 from services.jobs.files import ArtifactStore, Housekeeping, Storage
 from services.jobs.models import Job

@@ -11,8 +11,7 @@ from sqlalchemy.exc import IntegrityError
 from starlette.concurrency import run_in_threadpool
 
 from api.schemas import JobView
-from services.access.caller import Caller
-from services.access.quotas import Quotas
+from services.access.caller import Caller, Quotas
 from services.jobs.jobs import Key
 from services.jobs.models import Artifact, Job, JobKind
 from services.jobs.placement import Demand, Needs

@@ -22,7 +22,7 @@ from pathlib import Path
 import httpx
 
 from services.settings import Settings
-from worker.redis_server import EmbeddedRedis
+from worker.stack import EmbeddedRedis
 
 CONFIG = Path(__file__).with_suffix(".toml")
 START_SECONDS = 120.0

@@ -171,7 +171,7 @@ def database(settings: Settings) -> Iterator[Finding]:
 def redis(settings: Settings) -> Iterator[Finding]:
     """Whether Redis answers, or can be started."""
     from services.jobs.queue import Queue, connect
-    from worker.redis_server import find_server
+    from worker.stack import find_server
 
     if settings.redis_url is None:
         try:

@@ -14,7 +14,7 @@ from services.pipeline.extensions import set_up
 from services.settings import Settings
 from tests import object_store, postgresql
 from tests.postgresql import Postgresql
-from worker.redis_server import EmbeddedRedis
+from worker.stack import EmbeddedRedis
 
 # Torch has one thread in every process of the tests: in this one, from when it is imported, in those that a test
 # starts, and in those that follow the setting. So the two processes of `scripts/test` do not fight for cores, and all

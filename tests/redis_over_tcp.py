@@ -8,7 +8,7 @@ from redis import Redis
 from redis.exceptions import ConnectionError as Away
 
 from tests.postgresql import free_port
-from worker.redis_server import find_server
+from worker.stack import find_server
 
 PASSWORD = "p@ss/word"
 QUOTED = "p%40ss%2Fword"

@@ -1,26 +1,29 @@
 """The warm process that runs jobs: networks and the OpenGL context are loaded once and kept from job to job.
 
-A worker starts it with `python -m worker.job_process FD`. The process writes progress and outcome to the record; the
-worker renews the lease, and kills the process if it does not stop.
+A worker starts it with `python -m worker.job_process FD`. The process writes progress and outcome to the record, and
+the files of a job to the artifact store: those of its result, or what it had found until then. The worker renews the
+lease, and kills the process if it does not stop.
 """
 
 import base64
 import json
 import os
+import shutil
 import time
 from collections.abc import Callable, Sequence
 from math import inf
 from pathlib import Path
 from typing import Any
 
+from services import disk
 from services.analysis.images import png
 from services.device import device
 from services.errors import Cancelled, InvalidRequest, JobFailure, out_of_memory, summary
 from services.jobs.child import connect, memory_limit, more_than, reply, requests
 from services.jobs.database import connect as connect_database
-from services.jobs.files import ArtifactStore, Damaged, Storage, WorkingFiles
+from services.jobs.files import ArtifactStore, Damaged, Storage, WorkingFiles, media_type
 from services.jobs.leases import Attempt, Standing
-from services.jobs.models import Job, JobKind
+from services.jobs.models import Artifact, Job, JobKind
 from services.jobs.outages import outage_of
 from services.jobs.placement import Abilities
 from services.jobs.record import Record
@@ -30,12 +33,14 @@ from services.pipeline.analyse import decode_image, rerender_image
 from services.pipeline.campaign_plan import View
 from services.pipeline.campaign_run import first_answers
 from services.pipeline.execute import Progress, execute
-from services.pipeline.result import JobWarning, Result, outcome
+from services.pipeline.result import CHECKPOINT, JobWarning, Result, outcome
 from services.pipeline.spec import RENDERING, SENT_IMAGE, JobSpec, RerenderingSpec, RerenderingView, digest, parse
 from services.scenes.library import Library
 from services.settings import Settings
 from services.targets.info import TARGETS
-from worker.kept_files import KeptFiles
+
+log = logger(__name__)
+
 
 REPORT_SECONDS = 0.25
 """Shortest time between two writes of progress. The next write includes the trace rows since the last one."""
@@ -44,8 +49,6 @@ POLL_SECONDS = 0.25
 
 KEEPING_SECONDS, KEEPING_SHARE = 30.0, 0.1
 """What is left of the time of a job, in seconds and at most as a share of it, for keeping what it has found."""
-
-log = logger(__name__)
 
 
 class Reporter:
@@ -98,6 +101,82 @@ def finite(record: dict[str, Any]) -> dict[str, Any]:
     except ValueError as error:
         raise JobFailure("non-finite", "the job produced a number that is infinite or not a number") from error
     return record
+
+
+class KeptFiles:
+    """Puts the files of jobs into the store, and takes the checkpoint from it that a job is to go on from."""
+
+    def __init__(
+        self,
+        record: Record,
+        store: ArtifactStore,
+        working_files: WorkingFiles,
+        library: Library,
+        storage: Storage,
+    ) -> None:
+        self._record = record
+        self._store = store
+        self._working_files = working_files
+        self._library = library
+        self._storage = storage
+
+    def go_on(self, attempt: Attempt, path: Path) -> None:
+        """Writes the checkpoint that the job is to go on from, if it has one and has made none of its own yet."""
+        if path.exists():
+            return
+        try:
+            given = self.given(attempt, CHECKPOINT)
+            if given is not None:
+                disk.write(path, given)
+        except (FileNotFoundError, Damaged) as error:
+            log.warning("checkpoint gone, the job begins again", job=attempt.job_id, error=str(error))
+
+    def given(self, attempt: Attempt, name: str) -> bytes | None:
+        """The bytes of a file that the job began with, or None. Raises FileNotFoundError and Damaged."""
+        artifact = self._record.jobs.artifact(attempt.job_id, name)
+        if artifact is None:
+            return None
+        with self._store.open(artifact.sha256) as file:
+            return file.read()
+
+    def left(self, attempt: Attempt, job: Job) -> list[Artifact]:
+        """The files of an attack that ends early: its checkpoint, and the best that it has found, rendered exactly.
+
+        There are none if the disk is full: what space is left is for the record of the job's end.
+        """
+        path = self._working_files.left_of(attempt.job_id)
+        if job.kind is not JobKind.ATTACK or not path.exists():
+            return []
+        if not self._storage.usable():
+            log.warning("checkpoint not kept, the disk is full", job=attempt.job_id)
+            return []
+        try:
+            with self._working_files.attempt_directory(attempt) as out:
+                try:
+                    best_so_far(parse(job.spec), path, out, self._library)
+                except Exception as error:
+                    log.warning("best so far not rendered", job=attempt.job_id, exc_info=error)
+                shutil.copyfile(path, out / CHECKPOINT)
+                return self.stored(attempt, out)
+        except OSError as error:
+            log.warning("checkpoint not kept", job=attempt.job_id, error=str(error))
+            return []
+
+    def stored(self, attempt: Attempt, out: Path) -> list[Artifact]:
+        """The files of a directory, put into the store."""
+        artifacts = []
+        for file in sorted(out.iterdir()):
+            stored = self._store.put(file)
+            artifacts.append(
+                Artifact(
+                    job_id=attempt.job_id,
+                    name=file.name,
+                    sha256=stored.sha256,
+                    media_type=media_type(file.name),
+                    size=stored.size,
+                )
+            )
+        return artifacts
 
 
 class Jobs:

@@ -20,8 +20,7 @@ from api.problems import problem
 from api.reading import Reading
 from services.access.caller import KEYLESS, Caller
 from services.access.caller import Scope as AccessScope
-from services.access.keys import AccessKeys
-from services.access.sessions import Sessions
+from services.access.keys import AccessKeys, Sessions
 from services.addresses import is_loopback
 from services.logs import logger
 

@@ -10,7 +10,7 @@ from api.access.authentication import COOKIE, SIGN_IN, KnownCaller
 from api.dashboard.pages import HEADERS, html
 from api.state import ServicesDependency
 from services.access.caller import Caller, Scope
-from services.access.sessions import SESSION_SECONDS
+from services.access.keys import SESSION_SECONDS
 
 _OWN_PAGE = re.compile(r"/(?:[A-Za-z0-9?][!-\[\]-~]*)?")
 """A path of this site. Browsers take //host and /\\host for other sites, also with blanks between."""

@@ -11,8 +11,7 @@ from client.commands.options import DataOption, JsonOption
 from client.console import FittedTable, print_found, print_json, remark, say
 
 if TYPE_CHECKING:
-    from services.access.keys import AccessKeys
-    from services.access.models import AccessKey
+    from services.access.keys import AccessKey, AccessKeys
     from services.settings import Settings
 
 app = typer.Typer(

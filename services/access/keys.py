@@ -1,21 +1,52 @@
-"""The record of keys."""
+"""Keys to the API, and the sessions of browsers that were given one.
 
+Other machines reach the service only once there is a key (`check_listening`). A browser shows a text of its session
+instead of the key, until it signs out.
+"""
+
+import os
 import secrets
+import socket
 import time
 from collections.abc import Callable, Collection
 from contextlib import suppress
 from datetime import datetime, timedelta
 from hashlib import sha256
+from typing import Any
 
-from sqlalchemy import Engine, or_, select, update
+from sqlalchemy import Engine, ForeignKey, String, delete, or_, select, update
 from sqlalchemy.exc import SQLAlchemyError
+from sqlalchemy.orm import Mapped, mapped_column
 
 from services.access.caller import Scope
-from services.access.models import AccessKey
-from services.jobs.database import Clock, Database, now
+from services.addresses import is_loopback
+from services.errors import InvalidRequest
+from services.jobs.database import Clock, Database, connect, migrate, now
+from services.jobs.models import Base
+from services.settings import Settings
+
+
+class AccessKey(Base):
+    """A key to the API. Only the hash of its text is kept."""
+
+    __tablename__ = "access_keys"
+
+    prefix: Mapped[str] = mapped_column(String(16), primary_key=True)
+    """The beginning of the key's text, which names it in lists and logs and is no secret."""
+    digest: Mapped[str] = mapped_column(String(64), unique=True)
+    """Hex SHA-256 of the whole text. No slow hash is needed: the text has 256 random bits."""
+    name: Mapped[str] = mapped_column(String(100))
+    owner: Mapped[str] = mapped_column(String(100))
+    scopes: Mapped[list[Any]]
+    created_at: Mapped[datetime]
+    last_used_at: Mapped[datetime | None]
+    """The time of a use, to the minute."""
+    revoked_at: Mapped[datetime | None]
+    expires_at: Mapped[datetime | None]
+
 
 LONGEST = 100
-"""A text of more characters is no key, and is not looked up."""
+"""A text of more characters is no key or session, and is not looked up."""
 USE_SECONDS = 60.0
 """Time between two records of a key's use: reading is frequent, and each record is a write."""
 _ANY = select(AccessKey.prefix).limit(1)
@@ -120,3 +151,79 @@ def _is_valid(key: AccessKey, at: datetime) -> bool:
 
 def _digest(text: str) -> str:
     return sha256(text.encode("utf-8", "replace")).hexdigest()
+
+
+SESSION_SECONDS = 12 * 60 * 60
+"""Time after which a session ends by itself."""
+
+
+class DashboardSession(Base):
+    """A browser that was given a key. Only the hash of its cookie's text is kept."""
+
+    __tablename__ = "dashboard_sessions"
+
+    digest: Mapped[str] = mapped_column(String(64), primary_key=True)
+    key: Mapped[str] = mapped_column(String(16), ForeignKey("access_keys.prefix", ondelete="CASCADE"))
+    created_at: Mapped[datetime]
+    expires_at: Mapped[datetime]
+
+
+class Sessions:
+    """Begins, finds and ends sessions. A session is worth what its key is: whoever finds one looks at the key, too."""
+
+    def __init__(self, engine: Engine, clock: Clock | None = None) -> None:
+        self._database = Database(engine, clock)
+
+    def begin(self, prefix: str) -> str:
+        """Begins a session of the key with this prefix. Returns its text, 256 random bits; the hash of it is kept."""
+        text = secrets.token_urlsafe(32)
+        with self._database.write() as session:
+            at = now(session)
+            session.execute(delete(DashboardSession).where(DashboardSession.expires_at <= at))
+            expires = at + timedelta(seconds=SESSION_SECONDS)
+            session.add(DashboardSession(digest=_digest(text), key=prefix, created_at=at, expires_at=expires))
+        return text
+
+    def key_of(self, text: str) -> str | None:
+        """The prefix of the key of the session with this text; None if it is unknown or has ended."""
+        if not 0 < len(text) <= LONGEST:
+            return None
+        with self._database.read() as session:
+            found = session.scalars(select(DashboardSession).where(DashboardSession.digest == _digest(text))).first()
+            return None if found is None or found.expires_at <= now(session) else found.key
+
+    def end(self, text: str) -> None:
+        """Ends the session with this text, if there is one."""
+        with self._database.write() as session:
+            session.execute(delete(DashboardSession).where(DashboardSession.digest == _digest(text[:LONGEST])))
+
+
+def check_listening(settings: Settings) -> None:
+    """Raises InvalidRequest("--host") if other machines reach the settings' address and there is no key."""
+    host = settings.host
+    if is_loopback(host):
+        return
+    engine = connect(settings)
+    try:
+        migrate(engine, settings)
+        has_key = AccessKeys(engine).exist()
+    finally:
+        engine.dispose()
+    if not has_key:
+        raise InvalidRequest(
+            "--host",
+            f"at {host or 'every address'} other machines reach the service, and it has no key yet, so anybody could "
+            "use it; make one with `scene-attack keys create NAME --scope admin` (in a container: `docker compose run "
+            "--rm api scene-attack keys create NAME --scope admin`), or listen on 127.0.0.1",
+        )
+
+
+def listen(host: str, port: int) -> socket.socket:
+    """Opens a listening socket; port 0 stands for any free port. Raises InvalidRequest("--port") if that cannot be."""
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    try:
+        return socket.create_server((host, port), family=family)
+    except OSError as error:
+        reason = os.strerror(error.errno) if error.errno and error.errno > 0 else error.strerror
+        detail = f"cannot listen on {host}:{port} ({reason}); try --port 0"
+        raise InvalidRequest("--port", detail) from error

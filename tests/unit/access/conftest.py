@@ -1,7 +1,7 @@
 import pytest
 from sqlalchemy import Engine
 
-from services.access.assets import OwnedAssets
+from services.access.caller import OwnedAssets
 from services.access.keys import AccessKeys
 from tests.unit.jobs.conftest import Clock, clock, database, engine
 

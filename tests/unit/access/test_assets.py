@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 from sqlalchemy import Engine, event
 
-from services.access.assets import OwnedAssets
-from services.access.caller import KEYLESS, Caller, Scope
+from services.access.caller import KEYLESS, Caller, OwnedAssets, Scope
 from services.blobs import blobs
 from services.errors import InUse, InvalidRequest
 from services.jobs.database import Database

@@ -5,8 +5,7 @@ from sqlalchemy import Engine, event, select
 from sqlalchemy.exc import OperationalError
 
 from services.access.caller import Caller, Scope
-from services.access.keys import USE_SECONDS, AccessKeys
-from services.access.models import AccessKey
+from services.access.keys import USE_SECONDS, AccessKey, AccessKeys
 from tests.unit.jobs.conftest import Clock
 
 pytestmark = pytest.mark.slow

@@ -5,8 +5,7 @@ from pathlib import Path
 import pytest
 
 from services.access.caller import Scope
-from services.access.keys import AccessKeys
-from services.access.listening import check_listening
+from services.access.keys import AccessKeys, check_listening
 from services.errors import InvalidRequest
 from services.settings import Settings
 

@@ -1,8 +1,6 @@
 import pytest
 
-from services.access.assets import OwnedAssets
-from services.access.caller import KEYLESS, Caller
-from services.access.quotas import Quotas
+from services.access.caller import KEYLESS, Caller, OwnedAssets, Quotas
 from services.errors import QuotaExceeded
 
 ALICE, BOB = Caller("alice", frozenset(), "sa_1"), Caller("bob", frozenset(), "sa_2")

@@ -2,9 +2,7 @@ import pytest
 from sqlalchemy import Engine, select
 
 from services.access.caller import Scope
-from services.access.keys import AccessKeys
-from services.access.models import DashboardSession
-from services.access.sessions import SESSION_SECONDS, Sessions
+from services.access.keys import SESSION_SECONDS, AccessKeys, DashboardSession, Sessions
 from tests.unit.jobs.conftest import Clock
 
 

@@ -6,7 +6,7 @@ from contextlib import ExitStack
 import pytest
 
 from api.access.limits import MOST
-from services.access.quotas import Quotas
+from services.access.caller import Quotas
 from tests.unit.api.guarded import ATTACK, CAMPAIGN, SPHERE, Guarded
 from tests.unit.api.test_owners import upload
 

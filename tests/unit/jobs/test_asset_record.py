@@ -4,7 +4,7 @@ from typing import Any
 
 from sqlalchemy import Engine
 
-from services.access.assets import OwnedAssets
+from services.access.caller import OwnedAssets
 from services.jobs.database import Database
 from services.jobs.record import Record
 from services.jobs.uploads import AssetRecords, FirstAnswer

@@ -9,7 +9,7 @@ from alembic.migration import MigrationContext
 from sqlalchemy import Engine, text
 from sqlalchemy.exc import IntegrityError
 
-import services.access.models  # noqa: F401 - a table of the same database
+import services.access.keys  # noqa: F401 - a table of the same database
 from services.errors import InvalidRequest
 from services.jobs import database
 from services.jobs.database import check_database, connect, migrate

@@ -10,8 +10,7 @@ import pytest
 from rq.job import Job as Bell
 
 from api.submissions import Submissions
-from services.access.caller import KEYLESS
-from services.access.quotas import Quotas
+from services.access.caller import KEYLESS, Quotas
 from services.jobs.placement import NO_DEMAND, Abilities, Priority
 from services.jobs.queue import HEARTBEAT_SECONDS, Queue, connect
 from services.jobs.record import Record

