@@ -17,14 +17,12 @@ from starlette.middleware import Middleware
 from starlette.middleware.gzip import DEFAULT_EXCLUDED_CONTENT_TYPES, GZipMiddleware
 
 from api import dashboard
-from api.access.audit import Audit, RequestId
 from api.access.authentication import Authentication
-from api.access.limits import BodyLimit, NoNul, OpenUploads, Utf8Forms
-from api.access.sites import KnownHosts, SameSite
+from api.access.middleware import Audit, BodyLimit, KnownHosts, NoNul, OpenUploads, RequestId, SameSite, Utf8Forms
 from api.checks import Checks, Exporter
 from api.conditional import Conditional
-from api.dashboard import asset_form
-from api.dashboard.error_pages import ErrorPages, show_mistakes
+from api.dashboard.assets import ASSETS_PATH
+from api.dashboard.pages import ErrorPages, show_mistakes
 from api.description import TAGS, describe
 from api.metrics import Measured, RequestMetrics, ServiceMetrics
 from api.problems import Answers, install
@@ -67,7 +65,7 @@ MOST_CONNECTIONS = 500
 """Open connections, and requests being answered, from which on the server answers 503. Fewer than the 1,024 files that
 a process may usually have open."""
 
-_UPLOADS = (assets.PATH, asset_form.PATH)
+_UPLOADS = (assets.PATH, ASSETS_PATH)
 """The paths that take files."""
 _PACKED = ("application/octet-stream", "model/gltf-binary")
 """Types of files that are not compressed again."""

@@ -3,15 +3,13 @@
 from fastapi import APIRouter
 
 from api.dashboard import (
-    asset_form,
     assets,
     campaigns,
     comparison,
-    job_about,
     job_list,
+    job_page,
     new_job,
     reference,
-    routes,
     sign_in,
     targets,
 )
@@ -21,12 +19,10 @@ __all__ = ["router"]
 router = APIRouter()
 router.include_router(job_list.router)
 router.include_router(comparison.router)
-router.include_router(routes.router)
+router.include_router(job_page.router)
 router.include_router(new_job.router)
-router.include_router(job_about.router)
 router.include_router(campaigns.router)
 router.include_router(assets.router)
-router.include_router(asset_form.router)
 router.include_router(targets.router)
 router.include_router(reference.router)
 router.include_router(sign_in.router)

@@ -1,25 +1,41 @@
-"""Routes of the dashboard's pages about assets: the meshes and environment maps that a scene can name."""
+"""Routes of the pages about assets, the meshes and maps that a scene can name, and the form that adds one."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import degrees
+from pathlib import PurePosixPath
 from typing import Annotated, Literal
 from urllib.parse import urlencode
 
-from fastapi import APIRouter, Query, Request, Response
-from fastapi.responses import FileResponse
+from fastapi import APIRouter, Depends, File, Form, Query, Request, Response, UploadFile
+from fastapi.responses import FileResponse, RedirectResponse
+from pydantic import BaseModel, ValidationError
 from starlette.concurrency import run_in_threadpool
 
 from api.access.authentication import CallerDependency, Client
 from api.dashboard.pages import HEADERS, html
 from api.requests import while_connected
 from api.routes.artifacts import VerifiedFile
+from api.routes.assets import form_body, store
 from api.schemas import Uploaded
 from api.state import Services, ServicesDependency, no_such
 from services.access.caller import Caller, Scope
-from services.errors import InvalidRequest
+from services.errors import InvalidFields, InvalidRequest
 from services.jobs.models import Job
 from services.jobs.uploads import FirstAnswer
+from services.pipeline.field_errors import invalid_fields
+from services.scenes.bundle import (
+    MAP_KINDS,
+    MAX_FILES,
+    MAX_NAME,
+    MESH_KINDS,
+    About,
+    Credit,
+    Licence,
+    Title,
+    Up,
+    title_of,
+)
 from services.scenes.library import Entry
 
 PAGE = 60
@@ -164,3 +180,62 @@ def picture(entry: Entry) -> str | None:
 
 def _address(chosen: Mapping[str, str], page: int) -> str:
     return "/assets?" + urlencode({name: value for name, value in chosen.items() if value} | {"page": page})
+
+
+ASSETS_PATH = "/assets"
+FormText = Annotated[str, Form()]
+
+
+class Said(BaseModel):
+    """What the form says of the files; a field that is left empty says nothing."""
+
+    name: Title | None
+    up: Up | None
+    licence: Licence | None
+    credit: Credit | None
+
+
+@router.post(ASSETS_PATH, dependencies=[Depends(form_body)])
+async def add(
+    services: ServicesDependency,
+    caller: CallerDependency,
+    client: Client,
+    file: Annotated[list[UploadFile], File(default_factory=list)],
+    mesh: FormText = "",
+    name: FormText = "",
+    up: FormText = "",
+    licence: FormText = "",
+    credit: FormText = "",
+) -> Response:
+    """Stores the files as `POST /v1/assets` does and goes to the page of the asset. Errors are shown with the form."""
+    said = {"mesh": mesh, "name": name, "up": up, "licence": licence, "credit": credit}
+    sent = [one for one in file if one.filename]  # a browser sends an empty part for no file
+    try:
+        about = _about(said, sent)
+        entry = await store(services, caller, client, sent, None, mesh or None, about)
+    except InvalidRequest as error:
+        return await run_in_threadpool(grid, services, caller, EVERYTHING, 1, errors=error.every, said=said)
+    return RedirectResponse(f"{ASSETS_PATH}/{entry.name}", 303, HEADERS)
+
+
+def _about(said: dict[str, str], sent: Sequence[UploadFile]) -> About:
+    """What the form says; the name is by default the file's. Raises InvalidRequest."""
+    if not sent:
+        raise InvalidRequest("file", "choose the file of a mesh or of an environment map")
+    if len(sent) > MAX_FILES:
+        raise InvalidRequest("file", f"{len(sent):,} files were chosen; at most {MAX_FILES:,} are taken")
+    if len(said["mesh"]) > MAX_NAME:
+        raise InvalidRequest("mesh", f"it has {len(said['mesh']):,} characters; at most {MAX_NAME} are taken")
+    try:
+        fields = Said.model_validate({field: said[field].strip() or None for field in Said.model_fields})
+    except ValidationError as error:
+        raise InvalidFields(invalid_fields(error.errors(include_url=False), Said.model_json_schema())) from error
+    return About(title=fields.name or _title(sent), up=fields.up, licence=fields.licence, credit=fields.credit)
+
+
+def _title(sent: Sequence[UploadFile]) -> str | None:
+    """The name of the first file that may be the mesh or the map, without its ending."""
+    for path in (PurePosixPath(one.filename or "") for one in sent):
+        if path.suffix.lower().removeprefix(".") in (*MESH_KINDS, *MAP_KINDS, "zip", "zae"):
+            return title_of(path) or None
+    return None

@@ -1,21 +1,196 @@
 """The data that the pages show of a job, taken from the record.
 
-The trace of a job, with and without a result: what its events make of it.
+They are its trace, with and without a result, and the program of each question as a tree with what its functions attend
+to.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
 from api.dashboard.charts import Chart, Upset, chart, upset
-from api.dashboard.questions import Question, SceneObject, objects, questions
 from services.attacks.outcome import judge
 from services.jobs.job_list import ListedJob
 from services.jobs.models import Artifact, Event, Job, State
 from services.jobs.record import Record
 from services.pipeline.names import group_words, question_names
+from services.pipeline.question_record import Attended, QuestionResult, first_changed, most_changed
 from services.pipeline.result import CHECKPOINT
+from services.questions.executor import Facts, Value, execute
+from services.questions.program import TYPE_WORDS, Node, Program, Type
+from services.scenes.clevr.records import SceneRecord
+
+_WORDS = {
+    "scene": "all objects",
+    "unique": "the only one",
+    "union": "those in either set",
+    "intersect": "those in both sets",
+    "count": "how many?",
+    "exist": "is there one?",
+    "equal_integer": "as many?",
+    "less_than": "fewer in the first?",
+    "greater_than": "more in the first?",
+}
+_RELATIONS = {"left": "left of it", "right": "right of it", "front": "in front of it", "behind": "behind it"}
+
+
+@dataclass(frozen=True)
+class Step:
+    """A function of a program.
+
+    words: what it does, "those that are red"; label: its name, "filter_color[red]"; gives: the type of its output in
+    words; right: its output by the scene's record, in words. shown_before: it is a step of an earlier chain too, and is
+    shown in whole there.
+    """
+
+    number: int
+    words: str
+    label: str
+    gives: str
+    right: str
+    attention: Attended | None
+    is_first: bool
+    is_most: bool
+    is_answer: bool
+    shown_before: bool
+
+
+@dataclass(frozen=True)
+class Chain:
+    """Functions each of which takes the output of the one before it. The first takes those of `inputs`, if any."""
+
+    inputs: tuple["Chain", ...]
+    steps: tuple[Step, ...]
+
+
+@dataclass(frozen=True)
+class Question:
+    """A question and its answers, with its program as a tree.
+
+    scale: the end of the scale of changes of attention, at least 1, one object. first and most: the steps whose
+    attention changed first, to another object, and most.
+    """
+
+    number: int
+    name: str
+    result: QuestionResult
+    asks_for: str
+    program: Chain
+    scale: float
+    first: Step | None
+    most: Step | None
+
+
+@dataclass(frozen=True)
+class SceneObject:
+    """An object of a scene after CLEVR: "small red rubber cube", and the Shapley values of its groups, log-odds."""
+
+    words: str
+    effects: dict[str, float]
+
+
+def questions(result: Mapping[str, Any] | None, spec: Mapping[str, Any], names: Sequence[str]) -> list[Question]:
+    """The questions of a result; none for a job that has no questions, or no result yet."""
+    if result is None or not result.get("questions") or spec.get("record") is None:
+        return []
+    facts = Facts.of(SceneRecord.model_validate(spec["record"]))
+    found = zip(result["questions"], names, strict=True)
+    return [_question(number, one, name, facts) for number, (one, name) in enumerate(found)]
+
+
+def objects(result: Mapping[str, Any] | None, spec: Mapping[str, Any]) -> list[SceneObject]:
+    """The objects of a scene after CLEVR, with the values of an analysis by object if there is one."""
+    if spec.get("record") is None:
+        return []
+    analysis = ((result or {}).get("analyses") or {}).get("coordinates")
+    values = {} if analysis is None else dict(zip(analysis["parts"], analysis["log_odds"]["shapley"], strict=True))
+    return [
+        SceneObject(
+            words=f"{one['size']} {one['color']} {one['material']} {one['shape']}",
+            effects={
+                group: values[f"object {number} {group}"]
+                for group in spec["attack"]["groups"]
+                if f"object {number} {group}" in values
+            },
+        )
+        for number, one in enumerate(spec["record"]["objects"])
+    ]
+
+
+def _question(number: int, stored: Mapping[str, Any], name: str, facts: Facts) -> Question:
+    result = QuestionResult.model_validate(stored)
+    program = Program.read(result.program)
+    tree = _Tree(program, execute(program, facts), result.attention)
+    root = tree.chain(len(program.nodes) - 1)
+    steps = tree.steps
+    return Question(
+        number=number,
+        name=name,
+        result=result,
+        asks_for=TYPE_WORDS[program.types[-1]],
+        program=root,
+        scale=max([1.0, *(one.change for one in result.attention)]),
+        first=next((one for one in steps.values() if one.is_first), None),
+        most=next((one for one in steps.values() if one.is_most), None),
+    )
+
+
+class _Tree:
+    """Makes the chains of a program; `steps` are those made so far, by number."""
+
+    def __init__(self, program: Program, outputs: Sequence[Value], attention: Sequence[Attended]) -> None:
+        self._program, self._outputs = program, outputs
+        self._attention = {one.node: one for one in attention}
+        self._first, self._most = first_changed(attention), most_changed(attention)
+        self.steps: dict[int, Step] = {}
+
+    def chain(self, last: int) -> Chain:
+        """The chain that ends in a node. A node that several take is shown in whole in the first of their chains."""
+        numbers = [last]
+        inputs = self._program.nodes[last].inputs
+        while len(inputs) == 1 and numbers[-1] not in self.steps:
+            numbers.append(inputs[0])
+            inputs = self._program.nodes[inputs[0]].inputs
+        again = numbers[-1] in self.steps
+        before = () if again else tuple(self.chain(one) for one in inputs)
+        return Chain(before, tuple(self._step(number) for number in reversed(numbers)))
+
+    def _step(self, number: int) -> Step:
+        node, gives = self._program.nodes[number], self._program.types[number]
+        attention = self._attention.get(number)
+        made = Step(
+            number=number,
+            words=_words(node),
+            label=node.label,
+            gives=TYPE_WORDS[gives],
+            right=_output(self._outputs[number], gives),
+            attention=attention,
+            is_first=attention is not None and attention == self._first,
+            is_most=attention is not None and attention == self._most,
+            is_answer=number == len(self._program.nodes) - 1,
+            shown_before=number in self.steps,
+        )
+        return self.steps.setdefault(number, made) if not made.shown_before else made
+
+
+def _words(node: Node) -> str:
+    name, _, attribute = node.function.partition("_")
+    if node.function in _WORDS:
+        return _WORDS[node.function]
+    if name == "filter":
+        return f"those that are {node.values[0]}{'s' if attribute == 'shape' else ''}"
+    if name == "relate":
+        return f"those {_RELATIONS[node.values[0]]}"
+    return {"query": f"its {attribute}", "same": f"others of its {attribute}", "equal": f"the same {attribute}?"}[name]
+
+
+def _output(value: Value, kind: Type) -> str:
+    if isinstance(value, frozenset):
+        return ", ".join(map(str, sorted(value))) or "none"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return f"object {value}" if kind == "object" else str(value)
 
 
 def all_events(record: Record, job_id: str) -> Iterator[Event]:

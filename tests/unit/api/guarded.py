@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import httpx
 from fastapi import FastAPI
 
-from api.access.rules import RULES
+from api.access.authentication import RULES
 from api.state import Services
 from services.access.caller import Caller, Scope
 from services.jobs.models import CampaignState, State

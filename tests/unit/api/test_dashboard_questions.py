@@ -10,7 +10,7 @@ import httpx
 import pytest
 from httpx import ASGITransport
 
-from api.dashboard.questions import Chain, questions
+from api.dashboard.views import Chain, questions
 from services.jobs.models import Artifact
 from services.jobs.record import Record
 from services.pipeline.execute import execute

@@ -5,7 +5,7 @@ from contextlib import ExitStack
 
 import pytest
 
-from api.access.limits import MOST
+from api.access.middleware import MAX_OPEN_UPLOADS
 from services.access.caller import Quotas
 from tests.unit.api.guarded import ATTACK, CAMPAIGN, SPHERE, Guarded
 from tests.unit.api.test_owners import upload
@@ -63,7 +63,7 @@ def half_an_upload(guarded: Guarded, caller: str) -> socket.socket:
 
 def test_too_many_open_uploads(guarded: Guarded) -> None:
     with ExitStack() as opened:
-        connections = [opened.enter_context(half_an_upload(guarded, "alice")) for _ in range(MOST)]
+        connections = [opened.enter_context(half_an_upload(guarded, "alice")) for _ in range(MAX_OPEN_UPLOADS)]
         answer = upload(guarded, "alice")
         assert answer.status_code == 429, answer.text
         assert int(answer.headers["retry-after"]) > 0

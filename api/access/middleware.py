@@ -1,0 +1,325 @@
+"""Middleware that each request passes before it is parsed.
+
+- `RequestId` gives it an id, and `Audit` logs who changed what and who was refused.
+- `KnownHosts` and `SameSite` protect the service from web sites that its users visit.
+- `BodyLimit`, `Utf8Forms`, `NoNul` and `OpenUploads` refuse bodies that are too large, forms in other encodings than
+  UTF-8, addresses with a character that no text may have, and more uploads of a client than may be open.
+
+A web site can give its own name the address of this machine, and a browser then takes the service for a part of that
+site (DNS rebinding); the name in the Host header shows it. A page of another site can make the browser of somebody who
+is on this machine, or has a session here, send requests. A browser says where a request comes from (Fetch metadata,
+Origin); other programs do not.
+"""
+
+import re
+from collections import Counter
+from collections.abc import Collection, Mapping
+from urllib.parse import parse_qsl
+from uuid import uuid4
+
+import structlog
+from python_multipart.multipart import parse_options_header
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from api.access.authentication import client_of, rule_of
+from api.problems import REQUEST_ID, BadRequestField, http_problem, invalid, problem
+from services.access.caller import Caller
+from services.addresses import is_loopback
+from services.errors import InvalidRequest
+from services.logs import logger
+
+_SANE = re.compile(r"[A-Za-z0-9._:-]{1,128}")
+
+
+class RequestId:
+    """Takes the id from the client or from a proxy if it is plain text, and makes one otherwise."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self.app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """ASGI."""
+        if scope["type"] != "http":
+            return await self.app(scope, receive, send)
+        given = Headers(scope=scope).get(REQUEST_ID, "")
+        request_id = scope["request_id"] = given if _SANE.fullmatch(given) else uuid4().hex
+        # The server runs each request in a task of its own, so this ends with the request.
+        structlog.contextvars.clear_contextvars()
+        structlog.contextvars.bind_contextvars(request=request_id)
+
+        async def named(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                MutableHeaders(raw=message["headers"])[REQUEST_ID] = request_id
+            await send(message)
+
+        return await self.app(scope, receive, named)
+
+
+REFUSED = (400, 401, 403, 421, 429)
+READS = ("GET", "HEAD", "OPTIONS")
+MAX_LOGGED = 200
+"""Characters of a path that a line has."""
+
+log = logger("audit")
+
+
+class Audit:
+    """Logs every request that is no mere reading, and every one that is refused at the door.
+
+    The line has the prefix of the key, its owner, the client's address, the route, the object (the path, or the place
+    of what was made) and the status; as every line about a request it has its id. Bodies, queries and keys are not in
+    it.
+    """
+
+    def __init__(self, app: ASGIApp) -> None:
+        self.app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """ASGI."""
+        if scope["type"] != "http":
+            return await self.app(scope, receive, send)
+
+        async def audited(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                _record(scope, message)
+            await send(message)
+
+        return await self.app(scope, receive, audited)
+
+
+def _record(scope: Scope, answer: Message) -> None:
+    status = answer["status"]
+    if scope["method"] in READS and status not in REFUSED:
+        return
+    caller = scope.get("state", {}).get("caller")
+    who = {"key": caller.key, "owner": caller.owner} if isinstance(caller, Caller) else {"key": None, "owner": None}
+    rule = rule_of(scope["method"], scope["path"])
+    made = Headers(raw=answer["headers"]).get("location", "") if status in (201, 202) else ""
+    log.info(
+        "audit",
+        **who,
+        client=scope["client"][0] if scope["client"] else None,
+        route=f"{scope['method'][:20]} -" if rule is None else rule.route,
+        object=(made or scope["path"])[:MAX_LOGGED],
+        status=status,
+    )
+
+
+_HOST = re.compile(r"(?:\[([0-9A-Fa-f:.]*:[0-9A-Fa-f:.]*)\]|([A-Za-z0-9._~-]+))(?::[0-9]{0,5})?")
+"""An IPv6 address in brackets, or a name or IPv4 address, and perhaps a port."""
+
+
+class KnownHosts:
+    """Answers 400 for a Host that is none, and 421 for one that is neither loopback nor one of `hosts` (lower case)."""
+
+    def __init__(self, app: ASGIApp, hosts: Collection[str]) -> None:
+        self.app = app
+        self.hosts = frozenset(hosts)
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """ASGI."""
+        if scope["type"] != "http":
+            return await self.app(scope, receive, send)
+        host = Headers(scope=scope).get("host", "")
+        name = _hostname(host)
+        if host and not name:
+            return await problem(400, f"{host[:100]!r} is no host")(scope, receive, send)
+        if not is_loopback(name) and name not in self.hosts:
+            detail = (
+                f"this service does not answer for host {host[:100]!r}; SCENE_ATTACK_HOSTS lists those it answers for"
+            )
+            return await problem(421, detail)(scope, receive, send)
+        return await self.app(scope, receive, send)
+
+
+def _hostname(host: str) -> str:
+    """The name or address in a Host header, in lower case; "" if it is none."""
+    found = _HOST.fullmatch(host)
+    return "" if found is None else (found[1] or found[2]).lower()
+
+
+_OWN = ("same-origin", "none")
+"""Values of Sec-Fetch-Site: this service's own pages, and what the user typed. `same-site` is another port."""
+
+
+class SameSite:
+    """Answers 403 to other sites' requests, but for a link to a page that the user follows."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self.app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """ASGI."""
+        if scope["type"] == "http" and _is_foreign(scope["method"], Headers(scope=scope)):
+            return await problem(403, "requests from other web sites are refused")(scope, receive, send)
+        return await self.app(scope, receive, send)
+
+
+def _is_foreign(method: str, headers: Headers) -> bool:
+    reads = method in ("GET", "HEAD")
+    origin = headers.get("origin")
+    if origin is not None and not reads and origin.partition("://")[2] != headers.get("host"):
+        return True
+    if headers.get("sec-fetch-site", "none") in _OWN:
+        return False
+    link = headers.get("sec-fetch-mode") == "navigate" and headers.get("sec-fetch-dest", "document") == "document"
+    return not (reads and link)
+
+
+JSON_BYTES = 2**20
+"""Largest body that is not an upload."""
+FORM_BYTES = 2**16
+"""Bytes of the largest form, and those that a multipart form may have in addition to its file."""
+DRAIN = 4
+"""A body of at most this many times the limit is read and discarded, so that the client receives the answer. The
+connection is closed on a larger body."""
+
+
+class BodyLimit:
+    """Answers 413 for bodies over the limit of their path, and reads no more than the limit into memory.
+
+    `uploads` maps a path to the largest size of its file in bytes. There a body that is too large is answered by 422
+    for the field `file`. A form of any other path may have FORM_BYTES.
+    """
+
+    def __init__(self, app: ASGIApp, uploads: Mapping[str, int]) -> None:
+        self.app = app
+        self.uploads = uploads
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """ASGI."""
+        if scope["type"] != "http":
+            return await self.app(scope, receive, send)
+        upload = self.uploads.get(scope["path"])
+        most = FORM_BYTES if _form_of(scope) is not None else JSON_BYTES
+        limit = most if upload is None else upload + FORM_BYTES
+        length = Headers(scope=scope).get("content-length", "")
+        if length.isdigit() and int(length) > limit:
+            if int(length) <= DRAIN * limit:
+                await _drain(receive)
+            return await http_problem(_too_large(limit, upload))(scope, receive, send)
+        total = 0
+
+        async def counted() -> Message:
+            nonlocal total
+            message = await receive()
+            total += len(message.get("body", b""))
+            if total > limit:  # a body without content-length
+                raise _too_large(limit, upload)
+            return message
+
+        return await self.app(scope, counted, send)
+
+
+def _too_large(limit: int, upload: int | None) -> HTTPException:
+    if upload is None:
+        return HTTPException(413, f"the body may have at most {limit:,} bytes")
+    return BadRequestField(InvalidRequest("file", f"it may have at most {upload:,} bytes"))
+
+
+async def _drain(receive: Receive) -> None:
+    while True:
+        message = await receive()
+        if message["type"] != "http.request" or not message.get("more_body", False):
+            return
+
+
+class Utf8Forms:
+    """Answers 415 for a form that names another encoding than UTF-8.
+
+    The framework decodes the fields of a form by the codec that the client names, of all that Python has; some take
+    minutes for a megabyte, in which no other request is answered.
+    """
+
+    def __init__(self, app: ASGIApp) -> None:
+        self.app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """ASGI."""
+        if scope["type"] == "http":
+            charset = (_form_of(scope) or {}).get(b"charset", b"utf-8").lower()
+            if charset not in (b"utf-8", b"utf8", b"us-ascii"):
+                return await problem(415, "a form has to be in UTF-8")(scope, receive, send)
+        return await self.app(scope, receive, send)
+
+
+def _form_of(scope: Scope) -> dict[bytes, bytes] | None:
+    """The parameters of the content type of a form, read as the framework reads them; None if the body is no form."""
+    kind, parameters = parse_options_header(Headers(scope=scope).get("content-type"))
+    return parameters if kind in _FORMS else None
+
+
+_FORMS = (b"multipart/form-data", b"application/x-www-form-urlencoded")
+
+
+class NoNul:
+    """Refuses paths and queries with the character U+0000, which PostgreSQL takes in no text. `services.strict` refuses
+    it in bodies, HTTP in headers.
+    """
+
+    def __init__(self, app: ASGIApp) -> None:
+        self.app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """ASGI."""
+        if scope["type"] != "http":
+            return await self.app(scope, receive, send)
+        if "\0" in scope["path"]:
+            return await problem(404, "no path has the character U+0000")(scope, receive, send)
+        if b"%00" in scope["query_string"]:
+            parameters = parse_qsl(scope["query_string"].decode("latin-1"), keep_blank_values=True)
+            name = next((name for name, value in parameters if "\0" in value), "query")
+            refused = InvalidRequest(name, "it has the character U+0000, which no text may have")
+            return await invalid([refused])(scope, receive, send)
+        return await self.app(scope, receive, send)
+
+
+MAX_OPEN_UPLOADS = 8
+"""Uploads of one client at the same time; two of all clients are parsed at once."""
+RETRY_SECONDS = 5
+
+
+class OpenUploads:
+    """Answers 429 to an upload to one of `paths` of a client that has `most` open on all of them: the same owner, or
+    address without keys.
+    """
+
+    def __init__(self, app: ASGIApp, paths: Collection[str], most: int = MAX_OPEN_UPLOADS) -> None:
+        self.app = app
+        self.paths = paths
+        self.most = most
+        self._open: Counter[str] = Counter()
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """ASGI."""
+        if scope["type"] != "http" or scope["method"] != "POST" or scope["path"] not in self.paths:
+            return await self.app(scope, receive, send)
+        caller = scope["state"]["caller"]
+        assert isinstance(caller, Caller)  # the route needs a key, or there is none
+        client = client_of(Request(scope), caller)
+        if self._open[client] >= self.most:
+            detail = f"{self.most} uploads of yours are open already; send the next when one has been answered"
+            return await problem(429, detail, headers={"Retry-After": str(RETRY_SECONDS)})(scope, receive, send)
+        self._open[client] += 1
+        is_open = True
+
+        def close() -> None:
+            nonlocal is_open
+            if is_open:
+                is_open = False
+                self._open[client] -= 1
+                if not self._open[client]:
+                    del self._open[client]
+
+        async def answered(message: Message) -> None:
+            if message["type"] == "http.response.start":  # whoever has the answer may send the next one
+                close()
+            await send(message)
+
+        try:
+            return await self.app(scope, receive, answered)
+        finally:
+            close()

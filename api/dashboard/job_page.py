@@ -1,0 +1,190 @@
+"""Routes of the page of a job. A script keeps it up to date; it also works without it.
+
+The page shows what people say about a job (title, tags, note), and its request as commands that send it again.
+"""
+
+import json
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Form, Request, Response
+from fastapi.responses import RedirectResponse
+from pydantic import ValidationError
+
+from api.access.authentication import CallerDependency
+from api.dashboard import views
+from api.dashboard.pages import HEADERS, STATIC, VERSION, html
+from api.dashboard.views import all_events
+from api.routes.jobs import continued
+from api.schemas import JobEdit
+from api.state import KnownJob, Services, ServicesDependency, no_such
+from services.access.caller import Caller
+from services.errors import InvalidFields
+from services.jobs.files import Damaged
+from services.jobs.models import Artifact, Job, JobKind
+from services.pipeline.field_errors import invalid_fields
+from services.pipeline.result import BEST_SO_FAR
+
+router = APIRouter(include_in_schema=False)
+
+
+_KINDS = {"css": "text/css", "js": "text/javascript", "svg": "image/svg+xml"}
+"""Media types by the end of a name; anything else is text, as licences are."""
+
+
+@router.get("/jobs/{job_id}")
+def job(job_id: str, services: ServicesDependency, caller: CallerDependency, request: Request) -> Response:
+    """The page of one job."""
+    return _job("", job_id, services, caller, request)
+
+
+@router.get("/parts/jobs/{job_id}")
+def job_part(job_id: str, services: ServicesDependency, caller: CallerDependency, request: Request) -> Response:
+    """The part of a job's page that the script reloads."""
+    return _job("_", job_id, services, caller, request)
+
+
+@router.post("/jobs/{job_id}/cancel")
+def cancel(job_id: str, services: ServicesDependency, caller: CallerDependency) -> Response:
+    """Cancels a job, as the button on its page asks, and redirects to the page."""
+    if caller.visible(services.record.jobs.line(job_id)) is None:
+        raise no_such("job")
+    services.record.jobs.request_cancel(job_id)
+    return RedirectResponse(f"/jobs/{job_id}", 303, HEADERS)
+
+
+@router.post("/jobs/{job_id}/continue")
+def continue_job(job: KnownJob, services: ServicesDependency, caller: CallerDependency) -> Response:
+    """Continues a job that was cancelled or failed, as the button on its page asks, and redirects to the new job."""
+    return RedirectResponse(f"/jobs/{continued(job, services, caller).id}", 303, HEADERS)
+
+
+@router.get("/static/{path:path}")
+def static(path: str) -> Response:
+    """Style sheets, scripts and images. Their address begins with a version, so that browsers may cache them."""
+    name = path.removeprefix(f"{VERSION}/")
+    data = STATIC.get(name)
+    if data is None:
+        raise no_such("file")
+    kept = "no-cache" if name == path else "max-age=31536000, immutable"
+    kind = _KINDS.get(name.rpartition(".")[2], "text/plain")
+    return Response(data, headers=HEADERS | {"Cache-Control": kept}, media_type=kind)
+
+
+def _job(part: str, job_id: str, services: Services, caller: Caller, request: Request) -> Response:
+    found = caller.visible(services.record.jobs.get(job_id, with_result=True))
+    if found is None:
+        raise no_such("job")
+    if found.kind is JobKind.RERENDERING:
+        return html(f"{part}rerendering.html", caller=caller, job=found)
+    events = all_events(services.record, job_id)
+    artifacts = services.record.jobs.artifacts(job_id)
+    page = views.page(found, events, artifacts, _best_so_far(services, artifacts))
+    said = about(found, services.record.lists.retries(job_id, caller.only), page.went_on)
+    sent_again = commands(found.spec, str(request.base_url).rstrip("/"), with_key=bool(caller.key))
+    return html(f"{part}job.html", caller=caller, page=page, about=said, commands=sent_again)
+
+
+def _best_so_far(services: Services, artifacts: Sequence[Artifact]) -> dict[str, Any] | None:
+    """What a job had found that ended before its time, if it has such a file."""
+    for artifact in artifacts:
+        if artifact.name == BEST_SO_FAR:
+            with suppress(FileNotFoundError, Damaged), services.store.open(artifact.sha256) as file:
+                found: dict[str, Any] = json.load(file)
+                return found
+    return None
+
+
+@dataclass(frozen=True)
+class About:
+    """What a job's page shows of what people have said and done."""
+
+    title: str | None
+    tags: list[str]
+    note: str | None
+    retry_of: str | None
+    retries: Sequence[str]
+    """Ids of the jobs that repeat this one."""
+    went_on: bool
+    """Whether it began with the checkpoint of `retry_of`."""
+    deletable: bool
+
+
+def about(job: Job, retries: Sequence[str], went_on: bool) -> About:
+    """What people have said about a job, and the jobs that repeat it."""
+    deletable = job.state.terminal and job.campaign_id is None
+    return About(job.title, job.tags or [], job.note, job.retry_of, retries, went_on, deletable)
+
+
+@router.post("/jobs/{job_id}/about")
+def edit(
+    job: KnownJob,
+    services: ServicesDependency,
+    title: Annotated[str, Form()] = "",
+    tags: Annotated[str, Form()] = "",
+    note: Annotated[str, Form()] = "",
+) -> Response:
+    """Writes what the form on the page says; the tags have spaces or commas between them."""
+    said = {"title": title.strip(), "tags": tags.replace(",", " ").split(), "note": note.replace("\r\n", "\n").strip()}
+    try:
+        changes = JobEdit.model_validate(said)
+    except ValidationError as error:
+        raise InvalidFields(invalid_fields(error.errors(include_url=False), JobEdit.model_json_schema())) from error
+    services.record.lists.edit(job.id, changes.changes())
+    return _to(f"/jobs/{job.id}")
+
+
+@router.post("/jobs/{job_id}/retry")
+def again(job: KnownJob, services: ServicesDependency, caller: CallerDependency) -> Response:
+    """Queues the job's request again, and goes to the new job's page."""
+    found = services.record.jobs.get(job.id)
+    if found is None:
+        raise no_such("job")
+    return _to(f"/jobs/{services.submissions.retry(caller, found).id}")
+
+
+@router.post("/jobs/{job_id}/delete")
+def delete(job: KnownJob, services: ServicesDependency) -> Response:
+    """Deletes a job that has ended, with its files, and goes to the list."""
+    services.housekeeping.delete(job.id)
+    return _to("/")
+
+
+def _to(address: str) -> Response:
+    return RedirectResponse(address, 303, HEADERS)
+
+
+@dataclass(frozen=True)
+class Command:
+    """A way to send a request: the name of its element on a page, its words, and its text."""
+
+    id: str
+    words: str
+    text: str
+
+
+def commands(spec: Mapping[str, Any], address: str, with_key: bool) -> list[Command]:
+    """The commands for a service at `address`, which have a key from SCENE_ATTACK_KEY if the service asks for one.
+
+    The request stands in them as JSON of several lines, of which none can end a here-document or a string of Python: no
+    line of it is the word JSON alone, and within JSON three quotes never follow each other.
+    """
+    written = json.dumps(spec, indent=1, ensure_ascii=False)
+    key = ' -H "Authorization: Bearer $SCENE_ATTACK_KEY"' if with_key else ""
+    imports = "import json\nimport os\n\nimport httpx\n" if with_key else "import json\n\nimport httpx\n"
+    headers = ', headers={"Authorization": f"Bearer {os.environ[\'SCENE_ATTACK_KEY\']}"}' if with_key else ""
+    document = f"<<'JSON'\n{written}\nJSON\n"
+    kind = "-H 'content-type: application/json'"
+    return [
+        Command("as-cli", "Command line", f"SCENE_ATTACK_URL={address} scene-attack submit --watch - {document}"),
+        Command("as-curl", "curl", f"curl -s {address}/v1/jobs {kind}{key} --data-binary @- {document}"),
+        Command(
+            "as-python",
+            "Python",
+            f'{imports}\nspec = json.loads(r"""\n{written}\n""")\n'
+            f'answer = httpx.post("{address}/v1/jobs", json=spec{headers}, timeout=60)\n'
+            'answer.raise_for_status()\nprint(answer.json()["id"], answer.json()["state"])\n',
+        ),
+    ]
