@@ -16,7 +16,7 @@ from services.pipeline.campaign_spec import parse as parse_campaign
 from services.pipeline.result import JobWarning
 from services.pipeline.spec import JobSpec
 from services.pipeline.spec import parse as parse_job
-from services.rendering.torch_renderer.preset_names import check_preset
+from services.rendering.torch_renderer.declaration import check_preset
 from services.scenes.description import Lights, Scene
 from services.scenes.library import Library
 from services.targets.download import check_obtainable

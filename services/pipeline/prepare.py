@@ -26,8 +26,7 @@ from services.rendering.color import to_bytes
 from services.rendering.factory import build
 from services.rendering.plan import Plan, Tolerance
 from services.rendering.protocol import Renderer
-from services.rendering.torch_renderer.declaration import TORCH
-from services.rendering.torch_renderer.preset_names import check_preset
+from services.rendering.torch_renderer.declaration import TORCH, check_preset
 from services.rendering.torch_renderer.renderer import smallest_map
 from services.scenes.description import Environment
 from services.scenes.library import Library

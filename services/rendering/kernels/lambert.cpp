@@ -1,5 +1,5 @@
 // The shading sum of surfaces that reflect the same share of the light in every direction
-// (services/rendering/torch_renderer/lambert.py): no half vectors, so that it costs a cosine for each direction.
+// (services/rendering/torch_renderer/shading.py): no half vectors, so that it costs a cosine for each direction.
 
 #include "layout.h"
 #include "seen.h"

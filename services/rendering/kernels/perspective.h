@@ -1,5 +1,5 @@
 // The shading sum over directions and lobes for a viewer at a finite distance, where each pixel has its own viewer
-// direction (services/rendering/torch_renderer/perspective.py).
+// direction (services/rendering/torch_renderer/shading.py).
 
 // perspective.cpp has the sum without shadows and perspective_shadows.cpp that with them: apart, so that the compiler
 // makes the same code, to the bit, of the one whether or not there is the other.

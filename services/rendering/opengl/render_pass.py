@@ -17,8 +17,7 @@ from OpenGL import GL
 from pyrender.renderer import Renderer
 
 from services.rendering.opengl.camera import CameraMatrices, LightCounts, Rectangle, n_watertight_faces, ordered
-from services.rendering.opengl.mesh_upload import NO_MATERIAL, Array, Drawing, Piece, UploadedMaterial
-from services.rendering.opengl.program import Program
+from services.rendering.opengl.mesh_upload import NO_MATERIAL, Array, Drawing, Piece, Program, UploadedMaterial
 from services.rendering.opengl.shadow_maps import ShadowMaps
 from services.rendering.opengl.shadows import PassShadows
 

@@ -13,8 +13,7 @@ from OpenGL import GL
 from scipy.ndimage import minimum_filter
 
 from services.rendering.opengl.camera import beyond
-from services.rendering.opengl.mesh_upload import Drawing, Piece
-from services.rendering.opengl.program import Program
+from services.rendering.opengl.mesh_upload import Drawing, Piece, Program
 from services.rendering.opengl.shadows import PassShadows, ShadowView, box_corners, casters, shadow_views
 
 Array = NDArray[np.float64]

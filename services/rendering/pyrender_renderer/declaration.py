@@ -68,7 +68,7 @@ PYRENDER = Declaration(
     changes="services.rendering.pyrender_renderer.words:changes",
     worded="services.rendering.pyrender_renderer.words:worded",
     varies=dict.fromkeys(("azimuth", "elevation", "roll", "distance"), "camera") | {"intensity": "illumination"},
-    varied="services.rendering.pyrender_renderer.variation:varied",
+    varied="services.rendering.pyrender_renderer.renderer:varied",
 )
 
 register(PYRENDER)

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
 from functools import lru_cache
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import torch
@@ -17,10 +17,10 @@ from services.rendering.color import over_ground
 from services.rendering.declaration import BuildRequest, DeclaredRenderer
 from services.rendering.opengl import context, gbuffer
 from services.rendering.opengl.camera import CameraMatrices, Rectangle, RenderPass, beyond, rectangle
-from services.rendering.opengl.shadows import check_size, images_per_pass
+from services.rendering.opengl.shadows import check_size, images_per_pass, pass_shadows
 from services.rendering.plan import DEFAULT_TOLERANCE, ImageError, Plan, Tolerance, image_error
-from services.rendering.protocol import InactiveCoordinate, Parameters
-from services.rendering.pyrender_renderer import opengl_pass, planner, rasteriser
+from services.rendering.protocol import InactiveCoordinate, Parameters, Renderer
+from services.rendering.pyrender_renderer import planner, rasteriser
 from services.rendering.pyrender_renderer.batching import Array, SharedPass, alone, fill, shared
 from services.rendering.pyrender_renderer.declaration import PYRENDER
 from services.rendering.pyrender_renderer.parameters import SceneParameters
@@ -31,7 +31,53 @@ from services.rendering.pyrender_renderer.planner import (
     shadow_error,
     with_shadows,
 )
+from services.rendering.pyrender_renderer.rasteriser import SAMPLES
+from services.rendering.variation import Variation
 from services.scenes.resolve import ResolvedScene
+
+if TYPE_CHECKING:
+    from services.rendering.opengl.mesh_upload import Drawing
+    from services.rendering.opengl.render_pass import Backfaces
+
+MAX_BACKFACE_MISMATCH = 0.01
+"""Largest share of covered pixels that the backfaces of watertight surfaces may change. At silhouettes depths of both
+sides round to the same number; a surface that passes through itself changes more and is not taken for watertight."""
+
+
+def draw_by_opengl(
+    drawing: "Drawing", lit: RenderPass, size: tuple[int, int], backfaces: "Backfaces"
+) -> NDArray[np.float32]:
+    """The radiance [images, rows, columns, 4] of the pass's part, the bottom row first.
+
+    `size` is the height and width of the whole image; `backfaces` says what is done with those of watertight surfaces.
+    """
+    images: NDArray[np.float32] = context.current().renderer.draw(
+        drawing,
+        "radiance.frag",
+        lit.view,
+        lit.poses,
+        lit.colors,
+        lit.uniforms,
+        {},
+        size=size,
+        samples=SAMPLES,
+        outputs=len(lit.colors),
+        blend=True,
+        lights=lit.light_counts,
+        rectangle=lit.part,
+        backfaces=backfaces,
+        shadows=None if lit.shadows is None else pass_shadows(lit, lit.shadows),
+    )
+    return images
+
+
+def looks_watertight(natural: NDArray[np.float32], outside: NDArray[np.float32]) -> bool:
+    """Whether the backfaces of watertight surfaces show nowhere: the first of two images [..., 4] has them. Radiance
+    is on the scale of the display, and coverage is last.
+    """
+    changed = np.abs(outside - natural).max(axis=-1) > 1 / 255
+    return bool(changed.sum() <= MAX_BACKFACE_MISMATCH * (natural[..., 3] > 0).sum())
+
 
 CAMERAS = 32
 """Number of cameras whose view of a map is kept: more than the two sides of each coordinate's difference."""
@@ -325,7 +371,7 @@ class PyrenderRenderer(DeclaredRenderer):
     def _by_opengl(self, lit: RenderPass) -> NDArray[np.float32]:
         """The radiance of one pass as `_frames` has it, drawn by OpenGL."""
         hidden: Literal["behind", "cull"] = "behind" if self._plain else "cull"
-        return opengl_pass.draw(self.drawing, lit, self.size, hidden if self._watertight else "draw")
+        return draw_by_opengl(self.drawing, lit, self.size, hidden if self._watertight else "draw")
 
     def _at_start(self) -> RenderPass:
         """The scene's own image as a pass."""
@@ -339,4 +385,18 @@ class PyrenderRenderer(DeclaredRenderer):
             return False
         start = replace(self._at_start(), part=(0, self.size[0], 0, self.size[1]), shadows=None)
         natural, self._watertight = self._by_opengl(start), True
-        return opengl_pass.looks_watertight(EXPOSURE * natural, EXPOSURE * self._by_opengl(start))
+        return looks_watertight(EXPOSURE * natural, EXPOSURE * self._by_opengl(start))
+
+
+def varied(renderer: Renderer, parameters: Mapping[str, Tensor], variation: Variation) -> Parameters:
+    """The values [B, …] by group under a variation of view and light.
+
+    Ambient light and energies are multiplied; lights stay in place.
+    """
+    names = renderer.names("illumination") or []
+    energies = [name == "ambient" or name.endswith("energy") for name in names]
+    light, camera = parameters["illumination"], parameters["camera"]
+    factor = torch.where(torch.tensor(energies), variation.intensity, 1.0).to(light.dtype)
+    turned = torch.tensor([variation.azimuth, variation.elevation, 0.0, variation.roll], dtype=camera.dtype)
+    scaled = torch.tensor([1.0, 1.0, variation.distance, 1.0], dtype=camera.dtype)
+    return dict(parameters) | {"illumination": light * factor, "camera": camera * scaled + turned}

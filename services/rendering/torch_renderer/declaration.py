@@ -1,9 +1,17 @@
 """Declares the torch renderer's differentiable groups: normals, illumination (in one channel or in three) and material.
 
-The paper has one intensity per direction of the environment map (footnote 1, L of W×H), so that is the default.
+The paper has one intensity per direction of the environment map (footnote 1, L of W×H), so that is the default. The
+module needs no torch: the API checks requests by the groups and by the names of the material presets.
 """
 
+import json
+from functools import lru_cache
+from importlib.resources import files
+from typing import Any
+
+from services.errors import InvalidRequest
 from services.rendering.declaration import Declaration, Group, labelled, register
+from services.text import did_you_mean
 
 TORCH = Declaration(
     name="torch",
@@ -53,7 +61,23 @@ TORCH = Declaration(
     drawn="services.rendering.torch_renderer.words:drawn",
     worded="services.rendering.torch_renderer.words:worded",
     varies={"intensity": "illumination"},
-    varied="services.rendering.torch_renderer.variation:varied",
+    varied="services.rendering.torch_renderer.renderer:varied",
 )
 
 register(TORCH)
+
+
+@lru_cache(maxsize=1)
+def stored_presets() -> dict[str, dict[str, Any]]:
+    """Returns the fits of all presets by name, as presets.json has them."""
+    text = files("services.rendering.torch_renderer").joinpath("presets.json").read_text()
+    found: dict[str, dict[str, Any]] = json.loads(text)["presets"]
+    return found
+
+
+def check_preset(name: str, field: str = "material") -> None:
+    """Raises InvalidRequest(field, …) with the nearest names for an unknown name."""
+    known = stored_presets()
+    if name not in known:
+        hint = did_you_mean(name, known) or f"; there are {', '.join(known)}"
+        raise InvalidRequest(field, f"there is no material preset {name!r}{hint}")

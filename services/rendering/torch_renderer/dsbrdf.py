@@ -33,7 +33,7 @@ from math import comb, log, pi
 import torch
 from torch import Tensor
 
-from services.rendering.torch_renderer.preset_names import check_preset, stored_presets
+from services.rendering.torch_renderer.declaration import check_preset, stored_presets
 
 ILLUMINATION_MEAN = 10.0
 """Mean over the sphere (weighted by solid angle) of an unperturbed map's intensities. The exposure undoes it, so that

@@ -18,7 +18,7 @@ from torch import Tensor
 
 from services.rendering.color import to_display
 from services.rendering.plan import GradientError, Item, Plan, Stage, Tolerance
-from services.rendering.torch_renderer import dsbrdf, lambert
+from services.rendering.torch_renderer import dsbrdf
 from services.rendering.torch_renderer.declaration import TORCH
 from services.rendering.torch_renderer.dsbrdf import ILLUMINATION_MEAN
 from services.rendering.torch_renderer.light import LIGHT_GROUPS, attacks_light
@@ -31,6 +31,7 @@ from services.rendering.torch_renderer.shader import (
     checked_pixels,
     displayed_error,
 )
+from services.rendering.torch_renderer.shading import albedo
 from services.rendering.torch_renderer.surfaces import IN_SHADOW, WHOLE
 from services.rendering.torch_renderer.table import tiles, to_vectors, touched
 
@@ -418,7 +419,7 @@ def alike_from_all_sides(
     """
     if "material" in groups or not (surface.visibility is not None or surface.fixed_material):
         return None
-    if lambert.albedo(surface.material) is None:
+    if albedo(surface.material) is None:
         return None
     sample = replace(subset(surface, PIXELS), visibility=None)
     if "normals" in groups:

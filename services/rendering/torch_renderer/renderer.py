@@ -25,16 +25,17 @@ from services.rendering.declaration import BuildRequest, DeclaredRenderer
 from services.rendering.kernels import compiled
 from services.rendering.opengl.gbuffer import GBuffer, rasterise
 from services.rendering.plan import DEFAULT_TOLERANCE, Item, Plan, Tolerance
-from services.rendering.protocol import Parameters
+from services.rendering.protocol import Parameters, Renderer
 from services.rendering.torch_renderer import dsbrdf
 from services.rendering.torch_renderer.declaration import TORCH
 from services.rendering.torch_renderer.dsbrdf import MATERIAL_UNIT, layers, preset
-from services.rendering.torch_renderer.light import Illumination, directions, illumination, solid_angles
+from services.rendering.torch_renderer.light import LIGHT_GROUPS, Illumination, directions, illumination, solid_angles
 from services.rendering.torch_renderer.planner import compile_plan, looked_at, map_error
 from services.rendering.torch_renderer.shader import Recipe, Shader, Sky, Surface
 from services.rendering.torch_renderer.shading import Directions
 from services.rendering.torch_renderer.surfaces import VisibleSurfaces, regions, visibility, visible_surfaces
 from services.rendering.torch_renderer.table import MAX_ANGLE
+from services.rendering.variation import Variation
 from services.scenes.description import MAP_SIZES
 from services.scenes.environment import average
 from services.scenes.resolve import ResolvedScene
@@ -330,3 +331,15 @@ def smallest_map(scene: ResolvedScene, tolerance: Tolerance) -> tuple[int, int]:
         if error is None or error <= tolerance:
             return size
     return MAP_SIZES[-1]
+
+
+def varied(renderer: Renderer, parameters: Mapping[str, Tensor], variation: Variation) -> Parameters:  # noqa: ARG001
+    """The values [B, …] by group under a variation of the map's intensity: all light is scaled, what is attacked in one
+    channel too.
+
+    The renderer can draw no other variation. Its normals belong to the pixels of one view, and it cannot turn the map,
+    since each texel of the group `illumination` keeps its colour.
+    """
+    return {
+        group: value * variation.intensity if group in LIGHT_GROUPS else value for group, value in parameters.items()
+    }

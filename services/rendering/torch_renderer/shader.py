@@ -20,9 +20,18 @@ from torch import Tensor
 
 from services.rendering.color import to_display
 from services.rendering.kernels import compiled
-from services.rendering.torch_renderer import dsbrdf, lambert, perspective
+from services.rendering.torch_renderer import dsbrdf
 from services.rendering.torch_renderer.dsbrdf import MATERIAL_UNIT
-from services.rendering.torch_renderer.shading import Directions, Lobes, radiance, transport
+from services.rendering.torch_renderer.shading import (
+    Directions,
+    Lobes,
+    albedo,
+    lambert_radiance,
+    lambert_transport,
+    perspective_radiance,
+    radiance,
+    transport,
+)
 from services.rendering.torch_renderer.table import TILE, chosen_pixels, look_up, nodes_of, tiles, to_vectors, touched
 
 CHECKED = 256
@@ -214,9 +223,9 @@ class _Sum:
         self._directions = sky.directions.only(kept).to(recipe.dtype)
         self._curves, power = sky.curves[kept].to(recipe.dtype), sky.power[:, kept]
         if recipe.lambert:  # the light is then what the surface reflects of it
-            albedo = lambert.albedo(frozen[0])
-            assert albedo is not None
-            power = power * albedo[:, None]
+            reflected = albedo(frozen[0])
+            assert reflected is not None
+            power = power * reflected[:, None]
         self._power = power.to(recipe.dtype)
         self._plain = bool(recipe.varying.all()) and not bool(recipe.straight.any())
         self._lobes = self._light = self._factors = None
@@ -226,7 +235,7 @@ class _Sum:
             self._light = self._light_of(frozen[1])
         if recipe.method == "precomputed_transport" and normals is not None:
             if recipe.lambert:
-                self._factors = lambert.transport(normals, self._directions.towards, self._visibility)
+                self._factors = lambert_transport(normals, self._directions.towards, self._visibility)
             else:
                 assert self._lobes is not None
                 self._factors = transport(normals, self._lobes, self._directions, self._visibility)
@@ -244,10 +253,10 @@ class _Sum:
         """Radiance [N, 3] at any normals."""
         light = self._light_of(illumination) if self._light is None else self._light
         if self._recipe.lambert:
-            return lambert.radiance(normals, light, self._directions.towards, self._visibility)
+            return lambert_radiance(normals, light, self._directions.towards, self._visibility)
         if self._viewers is not None:
             own = material[: 1 if self._alike(material) else dsbrdf.CHANNELS].to(self._recipe.dtype) / MATERIAL_UNIT
-            return perspective.radiance(normals, self._viewers, light, own, self._directions.towards, self._visibility)
+            return perspective_radiance(normals, self._viewers, light, own, self._directions.towards, self._visibility)
         lobes = self._lobes_of(material.to(self._recipe.dtype)) if self._lobes is None else self._lobes
         return radiance(normals, light, lobes, self._directions, self._visibility)
 

@@ -1,13 +1,24 @@
-"""The shading sum over all directions, and its derivatives, in a fixed number of buffers.
+"""The shading sums over all directions, and their derivatives, in a fixed number of buffers.
 
-The sum is one autograd function with a backward pass of its own. Left to autograd, an image of 60,000 pixels and 512
-directions keeps dozens of tensors of 120 MB; recomputed chunk by chunk they still fragment the heap to 2.4 GB
-(measured). Here the backward pass recomputes them in place: in the compiled kernels where they are available, else in
-torch, which computes the same sum on any device.
+`radiance` and `transport` are for a distant viewer: radiance is a function of the normal alone. Each sum is one
+autograd function with a backward pass of its own. Left to autograd, an image of 60,000 pixels and 512 directions keeps
+dozens of tensors of 120 MB; recomputed chunk by chunk they still fragment the heap to 2.4 GB (measured). Here the
+backward pass recomputes them in place: in the compiled kernels where they are available, else in torch, which computes
+the same sum on any device.
+
+`perspective_radiance` is for a viewer at a finite distance, where half vectors and lobes differ from pixel to pixel.
+Radiance is then no function of the normal alone and cannot be tabulated, so it is summed pixel by pixel: in the
+compiled kernels, else in torch by chunks whose graph is rebuilt in the backward pass.
+
+`lambert_radiance` and `lambert_transport` are for surfaces that reflect the same share of the light in every direction
+(`albedo`). Such a surface looks the same from every side, so that a near viewer costs no more than a distant one, and
+each pair of pixel and direction costs a cosine: an eighth of the sum over a material's lobes (a floor of 70,000
+pixels).
 """
 
 import ctypes
 from dataclasses import dataclass
+from math import log
 from typing import Any
 
 import torch
@@ -16,7 +27,8 @@ from torch.autograd.function import once_differentiable
 from torch.nn.functional import normalize
 
 from services.rendering.kernels import compiled
-from services.rendering.torch_renderer.dsbrdf import COSINE_FLOOR, LOG_EXPONENT_RANGE
+from services.rendering.torch_renderer import dsbrdf
+from services.rendering.torch_renderer.dsbrdf import COSINE_FLOOR, LOG_EXPONENT_RANGE, MATERIAL_UNIT
 
 CHUNK = 2**18
 """Number of normals times directions per chunk: buffers of 1 MB in float32, which fit in the processor's cache."""
@@ -73,7 +85,7 @@ def radiance(
     (LOG_EXPONENT_RANGE). `visibility` is uint8 [D, N] in units of 1/255, None where nothing is hidden.
     """
     of_lobes = lobes.log_kappa, lobes.gamma, lobes.base, lobes.tilt
-    result: Tensor = _Radiance.apply(  # type: ignore[no-untyped-call]
+    result: Tensor = _Distant.apply(  # type: ignore[no-untyped-call]
         normals, light, *of_lobes, directions.towards, directions.half, visibility
     )
     return result
@@ -111,7 +123,7 @@ def transport(normals: Tensor, lobes: Lobes, directions: Directions, visibility:
     return out
 
 
-class _Radiance(torch.autograd.Function):
+class _Distant(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, *inputs: Tensor) -> Tensor:
         ctx.save_for_backward(*inputs)
@@ -257,3 +269,229 @@ def _packed(
 
 def _at_once(directions: int) -> int:
     return max(16, CHUNK // directions)
+
+
+PERSPECTIVE_CHUNK = 2**16
+"""Number of pixels times directions per chunk in torch, where each pair stores about a hundred numbers."""
+
+
+def perspective_radiance(
+    normals: Tensor,
+    viewers: Tensor,
+    light: Tensor,
+    material: Tensor,
+    towards: Tensor,
+    visibility: Tensor | None = None,
+) -> Tensor:
+    """Sums Σ_ω ρ(θ_h, θ_d) · light · max(0, n·ω) · visibility at each pixel, [P, 3].
+
+    normals and viewers are unit vectors [P, 3], the viewers towards the camera; light is [3, D], radiance times solid
+    angle; material [C, LOBES, 2, 6] holds natural logarithms of κ and γ, with C = 1 where the channels are the same;
+    `towards` holds the directions to the light [3, D]. The sum is differentiable (once) in normals (along the sphere),
+    light and material. `visibility` is uint8 [D, P] in units of 1/255, None where nothing is hidden.
+    """
+    result: Tensor = _Perspective.apply(  # type: ignore[no-untyped-call]
+        normals, viewers, light, material, towards, visibility
+    )
+    return result
+
+
+class _Perspective(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, *inputs: Any) -> Tensor:
+        held: tuple[Any, ...] = tuple(None if value is None else value.contiguous() for value in inputs)
+        ctx.save_for_backward(*held)
+        normals, viewers, light, material, towards, visibility = held
+        if compiled.runs(normals):
+            result = torch.empty_like(normals)
+            compiled.call("shade_perspective", normals.dtype, _packed_perspective(*held), result, compiled.threads())
+            return result
+        step = max(16, PERSPECTIVE_CHUNK // max(1, towards.shape[1]))
+        parts = [slice(start, start + step) for start in range(0, len(normals), step)]
+        return torch.cat(
+            [_chunk(normals[p], viewers[p], light, material, towards, _shares(visibility, p)) for p in parts]
+        )
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
+        normals, viewers, light, material, towards, visibility = ctx.saved_tensors
+        gradients = [torch.zeros_like(value) for value in (light, material, normals)]
+        gradient = gradient.contiguous()
+        if compiled.runs(normals):
+            packed = _packed_perspective(normals, viewers, light, material, towards, visibility)
+            compiled.call("shade_perspective_backward", normals.dtype, packed, gradient, *gradients, compiled.threads())
+        else:
+            step = max(16, PERSPECTIVE_CHUNK // max(1, towards.shape[1]))
+            for start in range(0, len(normals), step):
+                some = slice(start, start + step)
+                leaves = [value.detach().requires_grad_() for value in (light, material, normals[some])]
+                with torch.enable_grad():
+                    seen = _shares(visibility, some)
+                    shaded = _chunk(leaves[2], viewers[some], leaves[0], leaves[1], towards, seen)
+                d_light, d_material, d_normals = torch.autograd.grad(shaded, leaves, gradient[some])
+                gradients[0] += d_light
+                gradients[1] += d_material
+                gradients[2][some] = d_normals
+        return gradients[2], None, gradients[0], gradients[1], None, None
+
+
+def _shares(visibility: Tensor | None, some: slice) -> Tensor | None:
+    """Returns the visible shares [D, P] of some pixels."""
+    return None if visibility is None else visibility[:, some].double() / 255
+
+
+def _chunk(
+    normals: Tensor, viewers: Tensor, light: Tensor, material: Tensor, towards: Tensor, seen: Tensor | None
+) -> Tensor:
+    """Computes the sum at a chunk of pixels, [P, 3], for all pairs of pixel and direction at once; `seen` [D, P].
+
+    Angles are computed in float64, as a lobe of γ = 1e5 varies where 1 − n·h is 1e-5. Vectors are normalised in float64
+    too: else the angle between two nearly parallel vectors would be off by 3e-4.
+    """
+    n, v, w = (
+        normalize(normals.double(), dim=-1),
+        normalize(viewers.double(), dim=-1),
+        normalize(towards.double(), dim=0),
+    )
+    between = v @ w  # cosine of 2 θ_d
+    length = (2 + 2 * between).clamp_min(0.0).sqrt()
+    nowhere = length < 1e-7  # light from straight behind: no half vector
+    cosine = n @ w
+    facing = (n * v).sum(-1, keepdim=True)
+    half = torch.where(nowhere, 0.0, (facing + cosine) / torch.where(nowhere, 1.0, length))
+    theta_d = torch.atan2((2 - 2 * between).clamp_min(0.0).sqrt(), length)
+    dtype = normals.dtype
+    curves = dsbrdf.basis(theta_d).to(dtype).flatten(0, 1)
+    log_kappa, gamma = (curve.reshape(*curve.shape[:-1], *cosine.shape) for curve in dsbrdf.lobes(material, curves))
+    log_half = half.clamp(dsbrdf.COSINE_FLOOR, 1.0).log().to(dtype)
+    rho = dsbrdf.reflectance(log_half, log_kappa, gamma).sum(1) * cosine.clamp_min(0.0).to(dtype)
+    if seen is not None:
+        rho = rho * seen.T.to(dtype)
+    return torch.einsum("cpd,cd->pc", rho.expand(3, -1, -1), light)
+
+
+def _packed_perspective(
+    normals: Tensor, viewers: Tensor, light: Tensor, material: Tensor, towards: Tensor, visibility: Tensor | None
+) -> ctypes.Structure:
+    lowest, highest = dsbrdf.LOG_EXPONENT_RANGE
+    channels, lobes = material.shape[:2]
+    return compiled.structure(
+        f"perspective.Scene.{compiled.NAMES[normals.dtype]}",
+        count=len(normals),
+        directions=towards.shape[1],
+        channels=channels,
+        lobes=lobes,
+        normals=normals,
+        viewers=viewers,
+        towards=towards,
+        light=light,
+        material=material,
+        visibility=visibility,
+        cosine_floor=dsbrdf.COSINE_FLOOR,
+        lowest=lowest,
+        highest=highest,
+        max_log_kappa=dsbrdf.LOG_KAPPA_RANGE[1],
+        max_log_gamma=dsbrdf.LOG_GAMMA_RANGE[1],
+    )
+
+
+LAMBERT_CHUNK = 2**18
+"""Number of normals times directions per chunk in torch."""
+DARK, LEVEL, FLAT = log(1e-4), 0.01, log(1e-2)
+"""Largest log κ of a lobe that counts as dark; largest range of log κ and largest log γ of one that counts as constant.
+They only choose the materials whose error is then measured."""
+
+
+def albedo(material: Tensor) -> Tensor | None:
+    """Returns the reflectance [3], in 1/steradian, of coefficients [3, lobes, 2, 6] in the group's units, if it is
+    nearly the same for all directions; else None."""
+    log_kappa, log_gamma = (material / MATERIAL_UNIT).unbind(-2)
+    dark = log_kappa.amax(-1) <= DARK
+    level = (log_kappa.amax(-1) - log_kappa.amin(-1) <= LEVEL) & (log_gamma.amax(-1) <= FLAT)
+    if not bool((dark | level).all()):
+        return None
+    # γ log n·h is about -γ / 2 in the mean over a hemisphere of light.
+    exponent = (log_kappa.mean(-1) - 0.5 * log_gamma.mean(-1).exp()).clamp_max(dsbrdf.LOG_EXPONENT_RANGE[1]).exp()
+    return (torch.expm1(exponent) * ~dark).sum(-1)
+
+
+def lambert_radiance(normals: Tensor, light: Tensor, towards: Tensor, visibility: Tensor | None = None) -> Tensor:
+    """Sums Σ_ω light · max(0, n·ω) · visibility at each pixel, [P, 3].
+
+    normals are unit vectors [P, 3]; light [3, D] is radiance times solid angle times reflectance; `towards` holds the
+    directions to the light [3, D]; all have one dtype. It is differentiable (once) in normals and light. `visibility`
+    is uint8 [D, P] in units of 1/255, None where nothing is hidden.
+    """
+    result: Tensor = _Lambert.apply(  # type: ignore[no-untyped-call]
+        normals.contiguous(), light.contiguous(), towards, visibility
+    )
+    return result
+
+
+def lambert_transport(normals: Tensor, towards: Tensor, visibility: Tensor | None = None) -> Tensor:
+    """Returns max(0, n·ω) · visibility by direction and pixel, [1, D, P]: what `lambert_radiance` sums per unit of
+    light, the same in all channels. Arguments are those of `lambert_radiance`."""
+    out = normals.new_empty(1, towards.shape[1], len(normals))
+    for some in _parts(normals, towards):
+        out[0, :, some] = _cosines(normals, towards, visibility, some)[0].T
+    return out
+
+
+class _Lambert(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, normals: Tensor, light: Tensor, towards: Tensor, visibility: Tensor | None) -> Tensor:
+        ctx.save_for_backward(normals, light, towards, visibility)
+        if compiled.runs(normals):
+            result = torch.empty_like(normals)
+            compiled.call(
+                "lambert",
+                normals.dtype,
+                _packed_lambert(normals, light, towards, visibility),
+                result,
+                compiled.threads(),
+            )
+            return result
+        return torch.cat([_cosines(normals, towards, visibility, p)[0] @ light.T for p in _parts(normals, towards)])
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
+        normals, light, towards, visibility = ctx.saved_tensors
+        gradient = gradient.contiguous()
+        d_normals, d_light = torch.zeros_like(normals), torch.zeros_like(light)
+        if compiled.runs(normals):
+            packed = _packed_lambert(normals, light, towards, visibility)
+            compiled.call("lambert_backward", normals.dtype, packed, gradient, d_light, d_normals, compiled.threads())
+        else:
+            for some in _parts(normals, towards):
+                cosines, reaches = _cosines(normals, towards, visibility, some)
+                d_light += gradient[some].T @ cosines
+                d_normals[some] = (gradient[some] @ light * reaches) @ towards.T
+        return d_normals, d_light, None, None
+
+
+def _parts(normals: Tensor, towards: Tensor) -> list[slice]:
+    step = max(16, LAMBERT_CHUNK // max(1, towards.shape[1]))
+    return [slice(start, start + step) for start in range(0, max(1, len(normals)), step)]
+
+
+def _cosines(normals: Tensor, towards: Tensor, visibility: Tensor | None, some: slice) -> tuple[Tensor, Tensor]:
+    """Returns max(0, n·ω) · visibility, and the visibility above the horizon, [pixels, D]."""
+    cosines = normals[some] @ towards
+    reaches = (cosines > 0).to(cosines.dtype)
+    if visibility is not None:
+        reaches *= visibility[:, some].T.to(cosines.dtype) / 255
+    return cosines * reaches, reaches
+
+
+def _packed_lambert(normals: Tensor, light: Tensor, towards: Tensor, visibility: Tensor | None) -> Any:
+    return compiled.structure(
+        f"lambert.Irradiance.{compiled.NAMES[normals.dtype]}",
+        count=len(normals),
+        directions=towards.shape[1],
+        normals=normals,
+        towards=towards,
+        light=light,
+        visibility=visibility,
+    )

@@ -30,8 +30,7 @@ from torch import Tensor
 
 from services.errors import InvalidRequest
 from services.rendering.kernels import compiled
-from services.rendering.opengl.fragments import Fragments
-from services.rendering.opengl.gbuffer import GBuffer
+from services.rendering.opengl.gbuffer import Fragments, GBuffer
 from services.rendering.torch_renderer import table
 from services.rendering.torch_renderer.table import to_angles
 from services.scenes.description import Floor

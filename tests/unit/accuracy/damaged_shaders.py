@@ -19,10 +19,10 @@ def shader(file: str, old: str, new: str):
 
     def apply(patch) -> None:
         renderer = type(context.current().renderer)
-        from services.rendering.opengl import program  # imports OpenGL, so after the context
+        from services.rendering.opengl import mesh_upload  # imports OpenGL, so after the context
 
         folder, made = Path(mkdtemp(dir=FOLDERS)), {}
-        for path in program.SHADERS.iterdir():
+        for path in mesh_upload.SHADERS.iterdir():
             shutil.copy(path, folder)
         text = (folder / file).read_text()
         assert old in text, f"{file} has no {old!r}"
@@ -31,10 +31,10 @@ def shader(file: str, old: str, new: str):
         def compiled(_, fragment, **kinds):
             key = fragment, tuple(kinds.items())
             if key not in made:
-                made[key] = program.Program(fragment, {name.upper(): int(kind) for name, kind in kinds.items()})
+                made[key] = mesh_upload.Program(fragment, {name.upper(): int(kind) for name, kind in kinds.items()})
             return made[key]
 
-        patch.setattr(program, "SHADERS", folder)
+        patch.setattr(mesh_upload, "SHADERS", folder)
         patch.setattr(renderer, "program", compiled)
 
     return apply

@@ -5,8 +5,7 @@ from math import cos, radians, sin
 import pytest
 import torch
 
-from services.rendering.opengl.fragments import SURFACES, fragments
-from services.rendering.opengl.gbuffer import rasterise
+from services.rendering.opengl.gbuffer import SURFACES, fragments, rasterise
 from services.scenes.description import Scene
 from services.scenes.library import Library
 from services.scenes.resolve import resolve

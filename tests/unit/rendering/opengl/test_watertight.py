@@ -6,7 +6,6 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from services.rendering.opengl import context
-from services.rendering.pyrender_renderer import opengl_pass
 from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
 from services.scenes.mesh import Mesh, Part
 from services.scenes.solids import outsides
@@ -96,7 +95,7 @@ def test_front_faces_cover_what_both_sides_cover(monkeypatch: pytest.MonkeyPatch
     """The same faces are drawn from both sides. Only samples at silhouettes, where both are as near, may differ."""
     surface = mesh(ball())
     renderer = PyrenderRenderer(placed(scene((96, 96), azimuth=0.4, elevation=0.3), surface))
-    monkeypatch.setattr(opengl_pass, "MAX_BACKFACE_MISMATCH", -1.0)  # no surface is taken for watertight
+    monkeypatch.setattr(f"{PyrenderRenderer.__module__}.MAX_BACKFACE_MISMATCH", -1.0)  # none is taken for watertight
     two_sided = PyrenderRenderer(placed(scene((96, 96), azimuth=0.4, elevation=0.3), surface))
     assert renderer.watertight
     assert not two_sided.watertight

@@ -10,10 +10,9 @@ import torch
 
 from services.errors import InvalidRequest
 from services.rendering.declaration import BuildRequest
-from services.rendering.pyrender_renderer import opengl_pass
 from services.rendering.pyrender_renderer.parameters import FINER
 from services.rendering.pyrender_renderer.planner import shadow_error
-from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
+from services.rendering.pyrender_renderer.renderer import PyrenderRenderer, draw_by_opengl
 from services.scenes.description import DirectionalLight, Lights, PointLight, SceneObject, Shadows, SpotLight
 from services.scenes.resolve import ResolvedScene
 from tests.unit.rendering import shapes
@@ -260,10 +259,9 @@ def test_the_plan_s_error_is_that_of_the_displayed_images(monkeypatch: pytest.Mo
 
     def draw(*given: Any) -> Any:
         drawn.append(given)
-        return opengl_pass_draw(*given)
+        return draw_by_opengl(*given)
 
-    opengl_pass_draw = opengl_pass.draw
-    monkeypatch.setattr(opengl_pass, "draw", draw)
+    monkeypatch.setattr(f"{PyrenderRenderer.__module__}.draw_by_opengl", draw)
     [stage] = [stage for stage in own.plan.stages if stage.name == "shadow maps"]
     assert expected > 1e-3
     assert f"by {expected:.1e} in the mean" in stage.why

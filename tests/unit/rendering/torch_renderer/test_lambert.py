@@ -5,7 +5,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from services.rendering.torch_renderer import dsbrdf, lambert
+from services.rendering.torch_renderer import dsbrdf, shading
 from services.rendering.torch_renderer.dsbrdf import MATERIAL_UNIT, preset
 
 pytestmark = pytest.mark.usefixtures("kernel")
@@ -34,7 +34,7 @@ def test_sum_and_gradients_are_those_of_the_formula(shadows: bool) -> None:
     hidden = seen if shadows else None
     weights = torch.randn(41, 3, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
     found = []
-    for function in (lambert.radiance, plain):
+    for function in (shading.lambert_radiance, plain):
         leaves = [normals.clone().requires_grad_(), light.clone().requires_grad_()]
         value = function(*leaves, towards, hidden)
         found.append((value.detach(), *torch.autograd.grad((value * weights).sum(), leaves)))
@@ -44,13 +44,13 @@ def test_sum_and_gradients_are_those_of_the_formula(shadows: bool) -> None:
 
 def test_single_precision_is_near_double() -> None:
     normals, light, towards, seen = inputs(pixels=1500)
-    own = lambert.radiance(normals.float(), light.float(), towards.float(), seen)
+    own = shading.lambert_radiance(normals.float(), light.float(), towards.float(), seen)
     assert float((own.double() - plain(normals, light, towards, seen)).abs().max()) < 1e-5 * float(light.sum())
 
 
 def test_only_matte_reflects_alike_in_every_direction() -> None:
     unit = [preset(name, "material") * MATERIAL_UNIT for name in ("matte", "rubber", "metal", "plastic")]
-    found = [lambert.albedo(material) for material in unit]
+    found = [shading.albedo(material) for material in unit]
     assert [value is None for value in found] == [False, True, True, True]
     matte = found[0]
     assert matte is not None

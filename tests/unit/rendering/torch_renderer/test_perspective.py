@@ -11,9 +11,8 @@ from torch.nn.functional import normalize
 from services.rendering.plan import Tolerance
 from services.rendering.torch_renderer import dsbrdf, shading
 from services.rendering.torch_renderer.dsbrdf import COSINE_FLOOR
-from services.rendering.torch_renderer.perspective import radiance
 from services.rendering.torch_renderer.renderer import TorchRenderer, viewers_of
-from services.rendering.torch_renderer.shading import Directions, Lobes
+from services.rendering.torch_renderer.shading import Directions, Lobes, perspective_radiance
 from services.scenes.description import Camera, Scene, SceneObject
 from tests.unit.rendering.shading import reference_brdf, sky, sphere_gbuffer, sphere_scene
 from tests.unit.rendering.shapes import placed
@@ -64,17 +63,17 @@ def test_the_sum_is_what_it_is_defined_as(channels: int) -> None:
     values = inputs(channels=channels)
     wanted = reference(*values)
     assert wanted.max() > 1
-    np.testing.assert_allclose(radiance(*values).numpy(), wanted, rtol=1e-10)
-    np.testing.assert_allclose(radiance(*(value.float() for value in values)).numpy(), wanted, rtol=1e-4)
+    np.testing.assert_allclose(perspective_radiance(*values).numpy(), wanted, rtol=1e-10)
+    np.testing.assert_allclose(perspective_radiance(*(value.float() for value in values)).numpy(), wanted, rtol=1e-4)
 
 
 @pytest.mark.parametrize("channels", [1, 3])
 def test_gradcheck(channels: int) -> None:
     normals, viewers, light, material, towards = inputs(channels=channels, log_kappa=0.5)
-    size = radiance(normals, viewers, light, material, towards).abs().max()
+    size = perspective_radiance(normals, viewers, light, material, towards).abs().max()
 
     def scaled(n: Tensor, power: Tensor, m: Tensor) -> Tensor:
-        return radiance(normalize(n, dim=-1), viewers, power, m, towards) / size
+        return perspective_radiance(normalize(n, dim=-1), viewers, power, m, towards) / size
 
     leaves = [value.requires_grad_() for value in (normals, light, material)]
     assert torch.autograd.gradcheck(scaled, leaves)
@@ -87,7 +86,7 @@ def test_one_viewer_for_all_is_the_distant_viewer() -> None:
     log_kappa, gamma = dsbrdf.lobes(material, dsbrdf.basis(theta_d))
     flat = torch.zeros(3, 20, dtype=torch.float64)
     wanted = shading.radiance(normals, light, Lobes(flat, flat, log_kappa, gamma), Directions.of(towards.T, half))
-    found = radiance(normals, viewer.expand(1100, 3), light, material, towards)
+    found = perspective_radiance(normals, viewer.expand(1100, 3), light, material, towards)
     torch.testing.assert_close(found, wanted, rtol=1e-11, atol=1e-13)
 
 
@@ -101,9 +100,9 @@ def test_the_ends_of_the_angles() -> None:
     material = inputs()[3]
     light = torch.ones(3, 4, dtype=torch.float64)
     leaves = [normals.requires_grad_(), light.requires_grad_(), material.requires_grad_()]
-    shaded = radiance(normals, viewers, light, material, towards)
+    shaded = perspective_radiance(normals, viewers, light, material, towards)
     assert all(bool(g.isfinite().all()) for g in torch.autograd.grad(shaded.sum(), leaves))
-    straight = radiance(normals[:1], viewers[:1], light[:, :1], material, towards[:, :1]).detach()
+    straight = perspective_radiance(normals[:1], viewers[:1], light[:, :1], material, towards[:, :1]).detach()
     wanted = sum(float(material[0, l, 0, 0].detach().exp().exp()) - 1 for l in range(3))
     assert float(straight[0, 0]) == pytest.approx(wanted, rel=1e-12)
 
@@ -113,7 +112,7 @@ def test_a_curve_at_its_end_has_no_slope(which: int) -> None:
     normals, viewers, light, material, towards = inputs()
     material[:, 1, which] = (log(1e4), log(1e5))[which] + 1
     material.requires_grad_()
-    slope = torch.autograd.grad(radiance(normals, viewers, light, material, towards).sum(), material)[0]
+    slope = torch.autograd.grad(perspective_radiance(normals, viewers, light, material, towards).sum(), material)[0]
     assert (slope[:, 1, which] == 0).all()
     assert (slope[:, 0] != 0).any()
 

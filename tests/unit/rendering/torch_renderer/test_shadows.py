@@ -5,7 +5,7 @@ import torch
 from torch.nn.functional import normalize
 
 from services.rendering.opengl.gbuffer import rasterise
-from services.rendering.torch_renderer import perspective
+from services.rendering.torch_renderer import shading
 from services.rendering.torch_renderer.renderer import TorchRenderer
 from services.rendering.torch_renderer.shading import Directions, Lobes, radiance, transport
 from services.rendering.torch_renderer.surfaces import WHOLE
@@ -65,13 +65,15 @@ def test_gradcheck_of_a_near_viewer() -> None:
     seen = shares(7, 6)
 
     def f(n, light, material):
-        return perspective.radiance(normalize(n, dim=-1), viewers, light, material, towards, seen)
+        return shading.perspective_radiance(normalize(n, dim=-1), viewers, light, material, towards, seen)
 
     leaves = [value.clone().requires_grad_() for value in (normals, light, material)]
     size = f(*leaves).detach().abs().max()
     assert torch.autograd.gradcheck(lambda *v: f(*v) / size, leaves)
     alone = [
-        perspective.radiance(normals[p : p + 1], viewers[p : p + 1], light * seen[:, p] / 255, material, towards)
+        shading.perspective_radiance(
+            normals[p : p + 1], viewers[p : p + 1], light * seen[:, p] / 255, material, towards
+        )
         for p in range(7)
     ]
     torch.testing.assert_close(f(*leaves).detach(), torch.cat(alone), rtol=1e-12, atol=0)
