@@ -17,7 +17,7 @@ from client.commands_page import commands, examples
 from services.attacks.run import saved_step
 from tests.integration.conftest import Stack, serving, until
 from tests.integration.specs import ENDLESS, QUICK, long
-from tests.integration.test_run import small
+from tests.integration.test_run import FEW, small
 
 pytestmark = pytest.mark.integration
 
@@ -100,7 +100,7 @@ def campaign(job: dict[str, Any]) -> dict[str, Any]:
 
 def poses() -> dict[str, Any]:
     spec = small("pyrender-zoo")
-    spec["attack"]["groups"] = ["rotation", "translation"]
+    spec["attack"] |= FEW | {"groups": ["rotation", "translation"]}
     return spec
 
 

@@ -1,4 +1,4 @@
-"""Every command that opens the database, on one that it cannot use: one sentence, and nothing is added to it."""
+"""The commands that open the database, on one that they cannot use: one sentence, and nothing is added to it."""
 
 import sqlite3
 from collections.abc import Callable
@@ -56,8 +56,13 @@ UNUSABLE: dict[str, tuple[Callable[[Path], None], str]] = {
 }
 
 
-@pytest.mark.parametrize("kind", UNUSABLE)
-def test_a_database_that_cannot_be_used_is_one_sentence(kind: str, tmp_path: Path, redis_url: str) -> None:
+@pytest.mark.parametrize(
+    ("kind", "commands"),
+    [("no database", COMMANDS), ("foreign", COMMANDS), ("newer", COMMANDS[:1]), ("older", COMMANDS[-1:])],
+)
+def test_a_database_that_cannot_be_used_is_one_sentence(
+    kind: str, commands: tuple[str, ...], tmp_path: Path, redis_url: str
+) -> None:
     make, said = UNUSABLE[kind]
     folder = tmp_path / "data"
     folder.mkdir(mode=0o700)
@@ -65,7 +70,7 @@ def test_a_database_that_cannot_be_used_is_one_sentence(kind: str, tmp_path: Pat
     make(file)
     before = tables(file)
     machine = Machine(tmp_path / "home", SCENE_ATTACK_REDIS_URL=redis_url)
-    for command in COMMANDS:
+    for command in commands:
         words = [*command.split(), *([str(tmp_path / "copy")] if command == "backup" else [])]
         code, _, stderr = machine.run(*words, "--data", str(folder))
         assert code == 2, command

@@ -37,24 +37,39 @@ ATTACKS: list[dict[str, Any]] = [
 ]
 
 
-@pytest.mark.parametrize("attack", ATTACKS, ids=lambda attack: " ".join(map(str, attack.values())))
-def test_twice_the_same_bytes_and_again_in_another_process(attack: dict[str, Any], tmp_path: Path) -> None:
-    results = [execute(spec(attack), tmp_path / name, LIBRARY) for name in ("one", "two")]
+REPLAY = """
+import json, sys
+from pathlib import Path
+from services.pipeline.extensions import set_up
+from services.pipeline.replay import replay
+from services.settings import Settings
+set_up(Settings())
+from tests.unit.jobs.small import LIBRARY
+print(json.dumps([replay(Path(folder), LIBRARY).model_dump(mode="json") for folder in sys.argv[1:]]))
+"""
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Path, Result, dict[str, Any]]]:
+    """For each of ATTACKS its folder, its result, and what another process says that replays them all."""
+    folders = [tmp_path_factory.mktemp("attack") / "one" for _ in ATTACKS]
+    results = [execute(spec(attack), folder, LIBRARY) for attack, folder in zip(ATTACKS, folders, strict=True)]
+    command = [sys.executable, "-c", REPLAY, *map(str, folders)]
+    done = subprocess.run(command, check=True, capture_output=True, text=True)
+    return list(zip(folders, results, json.loads(done.stdout), strict=True))
+
+
+@pytest.mark.parametrize("number", range(len(ATTACKS)), ids=lambda number: " ".join(map(str, ATTACKS[number].values())))
+def test_twice_the_same_bytes_and_again_in_another_process(
+    number: int, runs: list[tuple[Path, Result, dict[str, Any]]], tmp_path: Path
+) -> None:
+    folder, result, again = runs[number]
+    assert execute(spec(ATTACKS[number]), tmp_path, LIBRARY).attacked == result.attacked
     for name in ("perturbation.safetensors", "original.png", "attacked.png", "perturbation.png"):
-        assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes(), name
-    assert results[0].attacked == results[1].attacked
-    code = (
-        "import sys; from pathlib import Path; from services.pipeline.replay import replay;"
-        "from services.pipeline.extensions import set_up; from services.settings import Settings; set_up(Settings());"
-        "from tests.unit.jobs.small import LIBRARY; print(replay(Path(sys.argv[1]), LIBRARY).model_dump_json())"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code, str(tmp_path / "one")], check=True, capture_output=True, text=True
-    )
-    again = json.loads(done.stdout)
+        assert (folder / name).read_bytes() == (tmp_path / name).read_bytes(), name
     assert again["pixels_differing"] == 0
     assert again["same_backend"]
-    assert again["replayed"] == results[0].attacked.model_dump(mode="json")
+    assert again["replayed"] == result.attacked.model_dump(mode="json")
 
 
 def test_the_files_say_what_the_result_says(tmp_path: Path) -> None:
