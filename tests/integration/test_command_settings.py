@@ -87,11 +87,6 @@ def test_a_wrong_option_is_named_as_it_was_written(arguments: str, machine: Mach
     assert (code, stderr) == (2, f"scene-attack: bad input: {option}: {most}, not {value}\n")
 
 
-def test_a_wrong_variable_is_named(tmp_path: Path) -> None:
-    code, _, stderr = Machine(tmp_path, SCENE_ATTACK_PORT="99999").run("serve", "--workers", "1")
-    assert (code, stderr) == (2, 'scene-attack: bad input: SCENE_ATTACK_PORT: must be at most 65535, not "99999"\n')
-
-
 def test_importing_reads_no_setting() -> None:
     """Every module of the program, where reading the settings fails. Alembic alone runs its environment."""
     code = (

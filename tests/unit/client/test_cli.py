@@ -11,35 +11,13 @@ import pytest
 from typer.testing import CliRunner
 
 from client.cli import app
+from client.commands_page import commands
 from services.rendering.plan import Plan
 from tests.unit.client.command_line import cli, process
 
 pytestmark = pytest.mark.slow
 
-COMMANDS = [
-    [],
-    ["run"],
-    ["plan"],
-    ["render"],
-    ["replay"],
-    ["analyse"],
-    ["rerender"],
-    ["export"],
-    ["submit"],
-    ["serve"],
-    ["api"],
-    ["worker"],
-    ["demo"],
-    ["targets"],
-    ["targets", "check"],
-    *(["jobs", *rest] for rest in ([], ["list"], ["show"], ["watch"], ["cancel"], ["delete"], ["download"])),
-    *(["jobs", one] for one in ("retry", "continue", "edit")),
-    *(["campaign", *rest] for rest in ([], ["run"], ["submit"], ["list"], ["show"], ["pause"], ["resume"], ["cancel"])),
-    *(["campaign", *rest] for rest in (["table"], ["export"])),
-    *(["assets", *rest] for rest in ([], ["list"], ["show"], ["add"], ["uploads"], ["delete"], ["environments"])),
-    *(["keys", *rest] for rest in ([], ["create"], ["list"], ["revoke"])),
-    *(["accuracy", *rest] for rest in ([], ["stability"], ["work-precision"])),
-]
+COMMANDS = [[], *(name.split()[1:] for name, _ in commands())]
 
 
 @pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
@@ -154,12 +132,6 @@ def test_submit_without_a_service_says_how_to_get_one() -> None:
     done = cli("submit", "-", "--url", "http://127.0.0.1:1", stdin='{"scene": {}}')
     assert done.returncode == 1
     assert "scene-attack serve" in done.stderr
-
-
-def test_a_bad_setting_is_named() -> None:
-    done = cli("serve", SCENE_ATTACK_WORKERS="many")
-    assert done.returncode == 2
-    assert "SCENE_ATTACK_WORKERS" in done.stderr
 
 
 @pytest.mark.parametrize("command", ["run - --out {out}", "plan -", "replay {out}", "serve", "api", "worker"])
