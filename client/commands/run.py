@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from client.progress import JobLine
     from services.pipeline.execute import Progress
-    from services.pipeline.preview_record import JobPlan, PlannedCost, Preview
+    from services.pipeline.preview_record import PlannedCost
     from services.pipeline.result import Result
     from services.pipeline.spec import JobSpec
     from services.scenes.library import Library
@@ -186,10 +186,11 @@ def plan(
     spec: SpecArgument,
     as_json: JsonOption = False,
 ) -> None:
-    """Print how a job's images would be rendered: the parts kept, those left out and why, and the estimated error.
+    """Print how a job's images would be rendered: the parts kept, those left out and why, the estimated error, and
+    what the attack costs.
 
     Of a question about the image it prints the program, the right answer and what limits the search. The command runs
-    no attack; it rasterises the scene, asks the network once, and measures errors of images and gradients. A job that
+    no attack; it draws the scene, asks the network twice, and measures errors of images and gradients. A job that
     cannot run ends with the same error as in `run`.
     """
     from client.settings import settings_to_run
@@ -200,24 +201,28 @@ def plan(
     job = read_job(spec, settings)
     with err().status("loading") as line:
         assets = library(settings)
-        from services.pipeline.prepare import plan as compile_plan
+        from services.pipeline.preview import planned_cost
 
         line.update("planning")
-        found = compile_plan(job, assets)
+        found = planned_cost(job, assets)
     if as_json:
         print_json(found)
     else:
         _print_plan(found)
 
 
-def _print_plan(found: "JobPlan") -> None:
+def _print_plan(planned: "PlannedCost") -> None:
     from client.tables import print_asked
 
+    found, cost = planned.plan, planned.cost
     height, width = found.size
+    limit = "" if cost.queries is None else f", at most {cost.queries:,} queries"
     say(
         f"{found.renderer}: {', '.join(found.groups)}, {width}×{height} pixels; tolerance {small(found.tolerance)}, "
         f"estimated error {small(found.error)} of displayed values in [0,1] "
-        + ("(their maximum)" if found.error_is == "maximum" else "(their mean over covered pixels)")
+        + ("(their maximum)" if found.error_is == "maximum" else "(their mean over covered pixels)"),
+        f"up to {cost.steps:,} steps{limit}; an image takes {1000 * cost.image_seconds:.3g} ms and a query "
+        f"{1000 * cost.query_seconds:.3g} ms, so at least {cost.least_seconds:.2g} s in all, and gradients besides",
     )
     print_asked(found.questions)
     kept = [[f"{i.part} {i.what}".strip(), f"{i.kept:,}", f"{i.of:,}", i.why, small(i.error)] for i in found.items]
@@ -243,7 +248,6 @@ def _print_plan(found: "JobPlan") -> None:
 def render(
     spec: SpecArgument,
     out: Annotated[Path | None, typer.Option(help="Write the image to this PNG file.")] = None,
-    plan: Annotated[bool, typer.Option("--plan", help="Make the plan, too, and state what the attack costs.")] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Render a job's scene and ask the network, without an attack: the image and the first five answers.
@@ -252,6 +256,7 @@ def render(
     """
     from client.settings import settings_to_run
     from client.specs import read_job
+    from client.tables import warn
     from services.errors import InvalidRequest
 
     settings = settings_to_run()
@@ -262,41 +267,18 @@ def render(
     with err().status("loading") as line:
         assets = library(settings)
         from services.analysis.images import save_png
-        from services.pipeline.preview import planned_cost, preview
+        from services.pipeline.preview import preview
 
         line.update("rendering")
         shown, image = preview(job, assets)
-        planned = None
-        if plan:
-            line.update("planning")
-            planned = planned_cost(job, assets)
     if out is not None:
         save_png(image, out)
     if as_json:
-        print_json(shown.model_dump(mode="json") | ({} if planned is None else planned.model_dump(mode="json")))
-    else:
-        _print_answers(shown)
-        if planned is not None:
-            _print_cost(planned)
-        if out is not None:
-            remark(f"Image in {out}")
-
-
-def _print_answers(shown: "Preview") -> None:
-    from client.tables import warn
-
+        print_json(shown)
+        return
     for one in shown.answers:
         rows = [[label, f"{probability:.3f}"] for label, probability in one.answer.top]
         say(FittedTable(("answer", "probability>"), rows, title=one.question))
     warn(shown.warnings)
-
-
-def _print_cost(planned: "PlannedCost") -> None:
-    plan, cost = planned.plan, planned.cost
-    height, width = plan.size
-    limit = "" if cost.queries is None else f", at most {cost.queries:,} queries"
-    say(
-        f"{plan.renderer}: {', '.join(plan.groups)}, {width}×{height} pixels; estimated error {small(plan.error)}",
-        f"up to {cost.steps:,} steps{limit}; an image takes {1000 * cost.image_seconds:.3g} ms and a query "
-        f"{1000 * cost.query_seconds:.3g} ms, so at least {cost.least_seconds:.2g} s in all, and gradients besides",
-    )
+    if out is not None:
+        remark(f"Image in {out}")

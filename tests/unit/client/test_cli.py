@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from client.cli import app
 from client.commands_page import commands
-from services.rendering.plan import Plan
+from services.pipeline.preview_record import PlannedCost
 from tests.unit.client.command_line import cli, process
 
 pytestmark = pytest.mark.slow
@@ -93,10 +93,11 @@ def test_a_plan_is_printed_and_is_json_for_machines() -> None:
     done = cli("plan", "-", stdin=PLANNED % "1e-3")
     assert done.returncode == 0, done.stderr
     assert "object 0 directions" in done.stdout
-    plan = Plan.model_validate_json(cli("plan", "-", "--json", stdin=PLANNED % "1e-3").stdout)
-    assert 0 < plan.error <= plan.tolerance == 1e-3
-    exact = Plan.model_validate_json(cli("plan", "-", "--json", stdin=PLANNED % '"exact"').stdout)
-    assert exact.error == 0
+    found = PlannedCost.model_validate_json(cli("plan", "-", "--json", stdin=PLANNED % "1e-3").stdout)
+    assert 0 < found.plan.error <= found.plan.tolerance == 1e-3
+    assert f"up to {found.cost.steps:,} steps; an image takes " in done.stdout
+    exact = PlannedCost.model_validate_json(cli("plan", "-", "--json", stdin=PLANNED % '"exact"').stdout)
+    assert exact.plan.error == 0
 
 
 def test_a_plan_shows_its_progress_on_a_terminal_and_not_in_its_output(tmp_path: Path) -> None:
@@ -108,7 +109,7 @@ def test_a_plan_shows_its_progress_on_a_terminal_and_not_in_its_output(tmp_path:
         os.close(terminal)
         shown = b"".join(iter(lambda: _read(ours), b""))
         assert plan.stdout is not None
-        Plan.model_validate_json(plan.stdout.read())
+        PlannedCost.model_validate_json(plan.stdout.read())
     os.close(ours)
     assert plan.returncode == 0
     assert shown.index(b"loading") < shown.index(b"planning")
