@@ -1,38 +1,50 @@
-"""Prepares a job: resolves its assets, target and labels, builds the renderer, and checks the network's answer."""
+"""Prepares a job: resolves its assets, target and labels, builds the renderer, and checks the network's answer.
 
-from collections.abc import Callable, Hashable
-from dataclasses import dataclass
+A warm process recalls what it measured of a scene when a later job has the same one.
+"""
+
+from collections import OrderedDict
+from collections.abc import Callable, Hashable, Mapping
+from dataclasses import dataclass, replace
+from math import radians
+from typing import Any
 from weakref import ref
 
+import torch
 from torch import Tensor
 
-from services.attacks.attack import ATTACKS
+from services.attacks.attack import ATTACKS, Attack
 from services.attacks.goal import ResolvedGoal, check_loss
 from services.attacks.limits import box
 from services.attacks.problem import Surrogate
+from services.attacks.request import VIEWS, Expectation
 from services.attacks.run import Verifier
 from services.errors import InvalidFields, InvalidRequest, named
-from services.pipeline.analysis_fields import check_analysis, load_targets
+from services.pipeline import goals
 from services.pipeline.check import Checked
-from services.pipeline.expectations import check_range, moving_groups, with_cost
+from services.pipeline.described import can_carry
 from services.pipeline.goals import PlannedConstraint, Settled, Task
 from services.pipeline.preview_record import JobPlan
 from services.pipeline.questions import task_of
-from services.pipeline.recall import recall
 from services.pipeline.result import JobWarning
 from services.pipeline.spec import JobSpec, asked_goal
-from services.pipeline.surrogates import check_surrogate, surrogate
 from services.rendering.color import to_bytes
+from services.rendering.declaration import RENDERERS
 from services.rendering.factory import build
-from services.rendering.plan import Plan, Tolerance
+from services.rendering.plan import Plan, Stage, Tolerance
 from services.rendering.protocol import Renderer
 from services.rendering.torch_renderer.declaration import TORCH, check_preset
 from services.rendering.torch_renderer.renderer import smallest_map
+from services.rendering.variation import STILL, moved, varied
 from services.scenes.description import Environment
 from services.scenes.library import Library
 from services.scenes.resolve import ResolvedScene, resolve
 from services.targets import registry
+from services.targets.info import TARGETS
 from services.targets.protocol import Target
+from services.text import there_are
+
+SURROGATE = "attack.surrogate"
 
 
 @dataclass
@@ -182,6 +194,59 @@ def _check_together(*checks: Callable[[], object]) -> None:
         raise InvalidFields(wrong)
 
 
+def check_analysis(spec: JobSpec) -> None:
+    """Raises InvalidRequest naming the field, for unknown targets and renderers, for a target without gradients
+    where they are needed, and for a renderer that can draw nothing of the attacked groups.
+    """
+    if spec.analysis.adaptive is not None and not registry.has_gradient(spec.target.name):
+        detail = f"it needs gradients, and the scores of {spec.target.name} have none with respect to the image"
+        raise InvalidRequest("analysis.adaptive", detail)
+    if spec.target.questions:
+        for name in ("transfer", "interpretation", "rerendering", "adaptive"):
+            if getattr(spec.analysis, name) is not None:
+                raise InvalidRequest(f"analysis.{name}", "it asks one question, and there are several; leave it out")
+    asked = spec.analysis.transfer
+    if asked is None:
+        return
+    for index, name in enumerate(asked.targets):
+        field = f"analysis.transfer.targets.{index}"
+        try:
+            registry.labels(name)
+        except InvalidRequest as error:
+            raise InvalidRequest(field, error.detail) from error
+        if TARGETS[name].info.takes_question:
+            raise InvalidRequest(field, f"{name} answers questions; an image is shown to it without one")
+    drawing = [name for name, one in RENDERERS.items() if one.base_renderer is None and name != spec.attack.renderer]
+    for index, name in enumerate(asked.renderers):
+        field = f"analysis.transfer.renderers.{index}"
+        if name == spec.attack.renderer:
+            raise InvalidRequest(field, f"{name} is the renderer of the attack itself")
+        if name not in drawing:
+            raise InvalidRequest(field, f"there is no renderer {name!r} that draws a scene; {there_are(name, drawing)}")
+        if not can_carry(spec.attack.renderer, spec.attack.groups):
+            attacked = ", ".join(spec.attack.groups)
+            raise InvalidRequest(
+                field,
+                f"nothing of {attacked} ({spec.attack.renderer}) is a part of the scene that {name} draws; colours, "
+                "poses and the camera of pyrender are",
+            )
+
+
+def check_surrogate(spec: JobSpec) -> None:
+    """Raises InvalidRequest("attack.surrogate") for a target that is unknown or is the one under attack."""
+    name = spec.attack.guide
+    if name is None:
+        return
+    try:
+        registry.labels(name)
+    except InvalidRequest as error:
+        raise InvalidRequest(SURROGATE, error.detail) from error
+    if name == spec.target.name:
+        raise InvalidRequest(
+            SURROGATE, f"{name} is the target itself; name another one, or choose a method with gradients"
+        )
+
+
 def _check_gradient(spec: JobSpec) -> None:
     name, method = spec.target.name, spec.attack.method
     if ATTACKS[method].needs_gradient and not registry.has_gradient(name):
@@ -199,6 +264,122 @@ def _check_materials(spec: JobSpec) -> None:
         materials["scene.floor.material"] = spec.scene.floor.material
     for field, name in materials.items():
         check_preset(name, field)
+
+
+def check_range(asked: Expectation, renderer: Renderer) -> None:
+    """Raises InvalidRequest naming the range whose ends are beyond the renderer's bounds."""
+    start = {group: value[None] for group, value in renderer.initial().items()}
+    for name in (one for one in VIEWS if getattr(asked, one)):
+        width = getattr(asked, name)
+        for sign in (-1, 1):
+            value: Any = 1 + sign * width if name == "distance" else sign * radians(width)
+            end = replace(STILL, **{name: value})
+            reached, kept = moved(renderer, start, end), varied(renderer, start, end)
+            if any(not torch.equal(reached[group], kept[group]) for group in reached):
+                raise InvalidRequest(
+                    f"attack.expectation.{name}", "an end of this range is beyond the camera's limits; make it smaller"
+                )
+
+
+def load_targets(spec: JobSpec) -> None:
+    """Loads the targets to which the perturbation is to be shown: one that is broken would lose the finished attack.
+
+    Raises InvalidRequest naming the field.
+    """
+    asked = spec.analysis.transfer
+    for index, name in enumerate(() if asked is None else asked.targets):
+        try:
+            registry.load(name)
+        except InvalidRequest as error:
+            raise InvalidRequest(f"analysis.transfer.targets.{index}", error.detail) from error
+
+
+def surrogate(spec: JobSpec, labels: tuple[str, ...], settled: Settled) -> Surrogate | None:
+    """Loads the surrogate, if the attack has one. `labels` are the target's.
+
+    The labels to leave, or the label to reach, are looked up by name; where the surrogate has none of those to leave,
+    its own table says what is right for the scene. Raises InvalidRequest("attack.surrogate") for a network that cannot
+    be loaded, that answers questions, whose scores have no gradients, or whose labels do not have the goal.
+    """
+    name = spec.attack.guide
+    if name is None:
+        return None
+    card = registry.card(name)
+    try:
+        target = registry.load(name)
+    except InvalidRequest as error:
+        raise InvalidRequest(SURROGATE, error.detail) from error
+    if target.takes_question:
+        raise InvalidRequest(SURROGATE, f"{name} answers questions; it is asked without one")
+    if not registry.has_gradient(name):
+        raise InvalidRequest(SURROGATE, f"the scores of {name} have no gradients ({registry.no_gradient(name)})")
+    goal, wanted = settled.goal, settled.goal.reach
+    if wanted is not None:
+        if labels[wanted] not in target.labels:
+            raise InvalidRequest(SURROGATE, f"{name} has no label {labels[wanted]!r}, which the goal is to reach")
+        return Surrogate(target, ResolvedGoal((), target.labels.index(labels[wanted])))
+    names = [labels[index] for index in goal.leave]
+    meshes = [thing.mesh for thing in spec.scene.objects]
+    right = set(goal.leave) <= set(settled.truth)
+    leave = goals.for_another(names, registry.card(spec.target.name), meshes if right else (), card, target.labels)
+    if not leave or len(leave) == len(target.labels):
+        which = "only the labels" if leave else "none of the labels"
+        raise InvalidRequest(SURROGATE, f"{name} has {which} that the goal is to leave ({', '.join(names[:5])})")
+    return Surrogate(target, ResolvedGoal(tuple(sorted(leave)), None))
+
+
+def resolved_scene(spec: JobSpec, library: Library) -> ResolvedScene:
+    """The scene of a spec with its assets. Raises InvalidRequest for an unknown material, and as `resolve` does."""
+    _check_materials(spec)
+    scene = resolve(spec.scene, library)
+    if spec.scene.lights.environment.size == "auto":
+        recall(scene)  # the size that is chosen for it is measured
+        scene = _with_chosen_map(spec, scene, library)
+    return recall(scene)
+
+
+def _with_chosen_map(spec: JobSpec, scene: ResolvedScene, library: Library) -> ResolvedScene:
+    """The scene with the smallest map that the job's tolerance allows, or the default size if no renderer uses one."""
+    size = Environment().size
+    if lit_by_map(spec):
+        size = scene.once(("smallest map", spec.tolerance), lambda: smallest_map(scene, spec.tolerance))
+    lights = spec.scene.lights
+    chosen = lights.model_copy(update={"environment": lights.environment.model_copy(update={"size": size})})
+    return resolve(spec.scene.model_copy(update={"lights": chosen}), library)
+
+
+def lit_by_map(spec: JobSpec) -> bool:
+    """Whether the environment map lights the job's images: the torch renderer draws them or those they are made of."""
+    return TORCH.name in (spec.attack.renderer, spec.attack.base_renderer)
+
+
+def _renderer(spec: JobSpec, scene: ResolvedScene, tolerance: Tolerance) -> Renderer:
+    attack = spec.attack
+    return build(scene, attack.renderer, attack.base_renderer, moving_groups(attack), tolerance)
+
+
+def moving_groups(attack: Attack) -> tuple[str, ...]:
+    """The groups whose values change inside an attack: the attacked ones, and those that its range moves."""
+    declared = RENDERERS[attack.renderer]
+    asked = attack.expectation
+    ranged = [group for name, group in declared.varies.items() if asked is not None and getattr(asked, name)]
+    return tuple(group for group in declared.group_names if group in attack.groups or group in ranged)
+
+
+def with_cost(plan: Plan, asked: Expectation | None) -> Plan:
+    """The plan with the cost of averaging, if the attack averages."""
+    if asked is None:
+        return plan
+    stage = Stage(
+        name="expectation",
+        method=f"the mean over the scene itself and {asked.samples} variations of it",
+        when="every image",
+        evaluations=1 + asked.samples,
+        unit="images and queries",
+        why=f"the adversary is to hold for a range; its share is measured on {asked.checks} fresh variations at the "
+        f"end, by up to {2 * asked.checks} exact images and queries",
+    )
+    return plan.model_copy(update={"stages": (*plan.stages, stage)})
 
 
 def _exact_image(spec: JobSpec, scene: ResolvedScene, verifier: Verifier) -> Tensor:
@@ -235,31 +416,30 @@ def _drawn_by(spec: JobSpec) -> tuple[Hashable, ...]:
     return attack.renderer, attack.base_renderer, tuple(moving_groups(attack)), spec.tolerance
 
 
-def resolved_scene(spec: JobSpec, library: Library) -> ResolvedScene:
-    """The scene of a spec with its assets. Raises InvalidRequest for an unknown material, and as `resolve` does."""
-    _check_materials(spec)
-    scene = resolve(spec.scene, library)
-    if spec.scene.lights.environment.size == "auto":
-        recall(scene)  # the size that is chosen for it is measured
-        scene = _with_chosen_map(spec, scene, library)
-    return recall(scene)
+MAX_KEPT_SCENES = 8
+"""Number of scenes whose measurements are kept."""
+MAX_KEPT_BYTES = 2**26
+"""Bytes of the tensors that are kept of all of these scenes: exact images, of 5 MB each at 448 by 448 pixels."""
+MAX_MEASUREMENTS = 64
+"""Measurements of a scene. Each choice of a renderer, of groups and of a tolerance has its own."""
+KEPT_SCENES: OrderedDict[str, dict[Hashable, Any]] = OrderedDict()
+"""What was measured, by the scene's digest; the scene of the last job is last."""
 
 
-def _with_chosen_map(spec: JobSpec, scene: ResolvedScene, library: Library) -> ResolvedScene:
-    """The scene with the smallest map that the job's tolerance allows, or the default size if no renderer uses one."""
-    size = Environment().size
-    if lit_by_map(spec):
-        size = scene.once(("smallest map", spec.tolerance), lambda: smallest_map(scene, spec.tolerance))
-    lights = spec.scene.lights
-    chosen = lights.model_copy(update={"environment": lights.environment.model_copy(update={"size": size})})
-    return resolve(spec.scene.model_copy(update={"lights": chosen}), library)
+def recall(scene: ResolvedScene) -> ResolvedScene:
+    """The scene, with what was measured of an equal one before. What is measured of it will be recalled in turn."""
+    known = KEPT_SCENES.pop(scene.sha256, {})
+    if len(known) < MAX_MEASUREMENTS and _size(known) <= MAX_KEPT_BYTES:
+        scene.measured.update(known)
+    KEPT_SCENES[scene.sha256] = scene.measured
+    while len(KEPT_SCENES) > MAX_KEPT_SCENES or (
+        len(KEPT_SCENES) > 1 and sum(map(_size, KEPT_SCENES.values())) > MAX_KEPT_BYTES
+    ):
+        KEPT_SCENES.popitem(last=False)
+    return scene
 
 
-def lit_by_map(spec: JobSpec) -> bool:
-    """Whether the environment map lights the job's images: the torch renderer draws them or those they are made of."""
-    return TORCH.name in (spec.attack.renderer, spec.attack.base_renderer)
-
-
-def _renderer(spec: JobSpec, scene: ResolvedScene, tolerance: Tolerance) -> Renderer:
-    attack = spec.attack
-    return build(scene, attack.renderer, attack.base_renderer, moving_groups(attack), tolerance)
+def _size(measured: Mapping[Hashable, Any]) -> int:
+    """Bytes of the tensors of measurements, which are tensors or have some beside others."""
+    values = (value if isinstance(value, tuple) else (value,) for value in measured.values())
+    return sum(part.numel() * part.element_size() for some in values for part in some if isinstance(part, Tensor))

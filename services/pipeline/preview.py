@@ -6,8 +6,7 @@ from time import perf_counter
 import torch
 from torch import Tensor
 
-from services.pipeline.analysis_fields import load_targets
-from services.pipeline.prepare import plan_of, prepare, prepare_exactly
+from services.pipeline.prepare import load_targets, plan_of, prepare, prepare_exactly
 from services.pipeline.preview_record import Cost, PlannedCost, Preview
 from services.pipeline.spec import JobSpec
 from services.scenes.library import Library

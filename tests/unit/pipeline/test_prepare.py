@@ -207,7 +207,7 @@ def test_a_target_of_the_analysis_that_cannot_be_loaded_is_refused_before_the_at
     def load(name: str) -> object:
         raise InvalidRequest("target.name", f"target {name!r} cannot be loaded")
 
-    monkeypatch.setattr("services.pipeline.analysis_fields.registry.load", load_but(load, "alexnet"))
+    monkeypatch.setattr("services.pipeline.prepare.registry.load", load_but(load, "alexnet"))
     with pytest.raises(InvalidRequest, match="'alexnet' cannot be loaded") as refused:
         check(spec(analysis={"transfer": {"targets": ["efficientnet-lite0", "alexnet"]}}), LIBRARY)
     assert refused.value.field == "analysis.transfer.targets.1"

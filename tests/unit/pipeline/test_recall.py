@@ -7,10 +7,8 @@ import pytest
 import torch
 
 from services.accuracy.stability.objects import linear_network
-from services.pipeline import recall as recalling
 from services.pipeline.execute import execute
-from services.pipeline.prepare import plan, prepare
-from services.pipeline.recall import KEPT, KEPT_OF_ONE, KEPT_SCENES, recall
+from services.pipeline.prepare import KEPT_SCENES, MAX_KEPT_SCENES, MAX_MEASUREMENTS, plan, prepare, recall
 from services.pipeline.result import Result
 from services.rendering.color import from_bytes
 from services.rendering.factory import build
@@ -128,12 +126,12 @@ def test_other_groups_and_tolerances_of_pyrender_have_their_own_plans(groups: li
 
 
 def test_the_scenes_of_the_last_jobs_are_kept_and_no_more() -> None:
-    for number in range(KEPT + 3):
+    for number in range(MAX_KEPT_SCENES + 3):
         scene = resolve(spec(scene={"camera": {"size": [64, 64], "azimuth": 0.1 * number}}).scene, LIBRARY)
         recall(scene).once("number", lambda: number)  # noqa: B023
-    assert len(KEPT_SCENES) == KEPT
-    again = resolve(spec(scene={"camera": {"size": [64, 64], "azimuth": 0.1 * (KEPT + 2)}}).scene, LIBRARY)
-    assert recall(again).once("number", lambda: -1) == KEPT + 2
+    assert len(KEPT_SCENES) == MAX_KEPT_SCENES
+    again = resolve(spec(scene={"camera": {"size": [64, 64], "azimuth": 0.1 * (MAX_KEPT_SCENES + 2)}}).scene, LIBRARY)
+    assert recall(again).once("number", lambda: -1) == MAX_KEPT_SCENES + 2
     first = resolve(spec(scene={"camera": {"size": [64, 64], "azimuth": 0.0}}).scene, LIBRARY)
     assert recall(first).once("number", lambda: -1) == -1
 
@@ -206,14 +204,14 @@ def test_a_network_of_which_only_scores_are_known_is_asked_every_time() -> None:
 
 
 def test_of_one_scene_no_more_is_kept_than_is_bounded() -> None:
-    for number in range(3 * KEPT_OF_ONE):
+    for number in range(3 * MAX_MEASUREMENTS):
         recall(resolve(spec().scene, LIBRARY)).once(("tolerance", number), lambda: number)  # noqa: B023
     [measured] = KEPT_SCENES.values()
-    assert 0 < len(measured) <= KEPT_OF_ONE
+    assert 0 < len(measured) <= MAX_MEASUREMENTS
 
 
 def test_large_images_are_not_kept_for_long(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(recalling, "KEPT_BYTES", 1000)
+    monkeypatch.setattr("services.pipeline.prepare.MAX_KEPT_BYTES", 1000)
     for number in range(5):
         scene = resolve(spec(scene={"camera": {"size": [64, 64], "azimuth": 0.1 * number}}).scene, LIBRARY)
         recall(scene).once("exact image", lambda: torch.zeros(150))  # 600 bytes
