@@ -30,10 +30,9 @@ from services.jobs.record import Record
 from services.jobs.warm_up import give_way, warm_up
 from services.logs import bound, configure, logger
 from services.pipeline.analyse import decode_image, rerender_image
-from services.pipeline.best_so_far import best_so_far
 from services.pipeline.campaign_plan import View
 from services.pipeline.campaign_run import first_answers
-from services.pipeline.execute import Progress, execute
+from services.pipeline.execute import Progress, best_so_far, execute
 from services.pipeline.result import CHECKPOINT, JobWarning, Result, outcome
 from services.pipeline.spec import RENDERING, SENT_IMAGE, JobSpec, RerenderingSpec, RerenderingView, digest, parse
 from services.scenes.library import Library

@@ -280,7 +280,7 @@ class Page:
     attention_files: list[Artifact]
     """The images of attention, which are many."""
     best: dict[str, Any] | None
-    """The best so far of a job that ended before its time (services.pipeline.best_so_far)."""
+    """The best so far of a job that ended before its time (services.pipeline.execute)."""
     continuable: bool
     """Whether another job can go on from its checkpoint."""
     went_on: bool

@@ -1,4 +1,7 @@
-"""Runs one job from spec to result in this process. The worker and `scene-attack run` both call it."""
+"""Runs one job from spec to result in this process. The worker and `scene-attack run` both call it.
+
+Of an attack that was ended before its time, `best_so_far` keeps the best of its checkpoint.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -7,7 +10,7 @@ from pathlib import Path
 from typing import Literal
 
 import torch
-from pydantic import BaseModel
+from pydantic import BaseModel, ConfigDict, Field
 from torch import Tensor
 
 from services.analysis import images
@@ -15,21 +18,24 @@ from services.analysis.attribution import of_subsets
 from services.analysis.expectation import held_over
 from services.analysis.images import answer, beyond, of_float_images, of_groups, of_images
 from services.analysis.physical import changes_in_words
+from services.analysis.records import Answer
 from services.analysis.subsets import ScoredImage, subsets
 from services.attacks.leave_out import LeftOut, leave_out
 from services.attacks.limits import at_epsilon
 from services.attacks.outcome import TraceRow
 from services.attacks.problem import AttackProblem
 from services.attacks.run import AttackRun, check_masking, run_attack
+from services.attacks.run import best as best_of_checkpoint
 from services.errors import Cancelled
 from services.pipeline.analyse import Report, Subject, analyse
 from services.pipeline.extensions import loaded_extensions
-from services.pipeline.prepare import Prepared, lit_by_map, prepare
-from services.pipeline.result import RESULT, AtEpsilon, JobWarning, Provenance, Result, subset_image
+from services.pipeline.prepare import Prepared, lit_by_map, prepare, prepare_exactly
+from services.pipeline.result import BEST_SO_FAR, RESULT, AtEpsilon, JobWarning, Provenance, Result, subset_image
 from services.pipeline.spec import JobSpec
 from services.pipeline.stored import save_change
 from services.process import versions
 from services.rendering.color import to_bytes
+from services.rendering.physical_change import Change
 from services.rendering.plan import Plan
 from services.scenes.library import Library
 from services.targets.info import TARGETS
@@ -250,3 +256,53 @@ def _extensions(spec: JobSpec) -> dict[str, str]:
         ("target", spec.attack.guide),
     }
     return {file.name: file.sha256 for file in loaded_extensions() if file.sha256 is not None and file.adds & used}
+
+
+class BestSoFar(BaseModel):
+    """The best perturbation of an attack that did not run to its end. It is no result.
+
+    verified: the network's answer to the perturbation, rendered by the exact path and rounded to 8 bits, meets the
+    goal.
+    """
+
+    model_config = ConfigDict(extra="forbid")
+
+    step: int = Field(description="the step at which the perturbation was found")
+    steps: int = Field(description="the steps until the checkpoint that it is of")
+    queries: int = Field(description="images that the target classified until then")
+    verified: bool
+    original: Answer
+    attacked: Answer
+    float_perceptibility: float
+    perceptibility: float
+    changes: list[Change]
+
+
+def best_so_far(spec: JobSpec, path: Path, out: Path, library: Library) -> BestSoFar | None:
+    """Renders the best perturbation of the checkpoint `path` and asks the network; returns None without a checkpoint.
+
+    Writes best-so-far.json and what was changed into `out`. Raises what `prepare_exactly` does.
+    """
+    found = best_of_checkpoint(path)
+    if found is None:
+        return None
+    prepared = prepare_exactly(spec, library)
+    verifier, goal, labels = prepared.verifier, prepared.goal, prepared.target.labels
+    stored = {group: found.stored[group] for group in prepared.spec.attack.groups}
+    exact = verifier.render(stored)
+    attacked = to_bytes(exact).cpu()
+    logits = verifier.logits(attacked)
+    best = BestSoFar(
+        step=found.stored_step,
+        steps=found.step,
+        queries=found.queries,
+        verified=bool(goal.fooled(logits)),
+        original=answer(prepared.logits, labels, goal),
+        attacked=answer(logits, labels, goal),
+        float_perceptibility=of_float_images(prepared.exact, exact),
+        perceptibility=of_images(prepared.original, attacked),
+        changes=changes_in_words(prepared.scene, prepared.renderer, stored),
+    )
+    save_change(prepared, stored, attacked, out)
+    (out / BEST_SO_FAR).write_text(best.model_dump_json(indent=1) + "\n", "utf-8")
+    return best
