@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from services.errors import InvalidRequest
-from services.pipeline.prepare import preflight
+from services.pipeline.prepare import prepare
 from services.pipeline.spec import parse
 from services.scenes.library import Library
 
@@ -18,7 +18,7 @@ def right(library: Library, count: int) -> Iterator[tuple[str, str]]:
         if count == 0:
             return
         try:
-            found = preflight(parse({"scene": {"objects": [{"mesh": mesh}]}, "goal": {"leave": label}}), library)
+            found = prepare(parse({"scene": {"objects": [{"mesh": mesh}]}, "goal": {"leave": label}}), library)
         except InvalidRequest:
             continue
         if any(warning.code in ("already-wrong", "truth-unknown") for warning in found.warnings):

@@ -64,9 +64,9 @@ def run(
     from services.pipeline.campaign_plan import write
     from services.pipeline.campaign_run import run_campaign
     from services.pipeline.check import check_samples
-    from services.pipeline.prepare import preflight
+    from services.pipeline.prepare import prepare
 
-    check_samples(campaign, lambda job: preflight(job, assets))
+    check_samples(campaign, lambda job: prepare(job, assets))
     try:
         with CampaignLine(campaign.name) as line:
             found = run_campaign(campaign, folder, assets, progress=line.update)

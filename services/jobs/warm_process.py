@@ -19,7 +19,7 @@ from services.jobs.files import ArtifactStore, Damaged
 from services.jobs.outages import outage_of
 from services.jobs.warm_up import CHECKING, give_way, warm_up
 from services.logs import configure, logger
-from services.pipeline.prepare import preflight
+from services.pipeline.prepare import prepare
 from services.pipeline.preview import planned_cost, preview
 from services.pipeline.spec import JobSpec
 from services.scenes.library import Library
@@ -37,7 +37,7 @@ def answer(message: dict[str, Any], library: Library, store: ArtifactStore) -> d
     """
     try:
         if "check" in message:
-            found = preflight(JobSpec.model_validate(message["check"]), library)
+            found = prepare(JobSpec.model_validate(message["check"]), library)
             said = [one.model_dump(mode="json") for one in found.warnings]
             return {"spec": found.spec.model_dump(mode="json"), "warnings": said}
         if "preview" in message:
@@ -93,7 +93,7 @@ def _read(store: ArtifactStore, sha256: str) -> bytes:
 
 def main() -> None:
     """Loads network and OpenGL once, reports that it is ready, then answers requests until its parent ends."""
-    configure("preflight")
+    configure("warm")
     give_way(CHECKING)
     values = Settings()
     connection = connect()

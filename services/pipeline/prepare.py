@@ -21,7 +21,6 @@ from services.attacks.request import VIEWS, Expectation
 from services.attacks.run import Verifier
 from services.errors import InvalidFields, InvalidRequest, named
 from services.pipeline import goals
-from services.pipeline.check import Checked
 from services.pipeline.described import can_carry
 from services.pipeline.goals import PlannedConstraint, Settled, Task
 from services.pipeline.preview_record import JobPlan
@@ -87,25 +86,20 @@ class Prepared:
         return f"{self.renderer.exact().backend}; {self.target.backend}"
 
 
-def preflight(spec: JobSpec, library: Library) -> Checked:
-    """Returns the spec as it would run, with warnings. Raises InvalidRequest if it cannot run, as `prepare` does."""
-    found = prepare_exactly(spec, library)
-    load_targets(spec)
-    return Checked(found.spec, found.warnings)
-
-
 def prepare_exactly(spec: JobSpec, library: Library) -> Prepared:
-    """As `prepare`, with the exact renderer alone and no plan for the job's tolerance: for the first answer only."""
+    """As `prepare`, with the exact renderer alone and no plan for the job's tolerance: for the first answer only.
+
+    It accepts a request whose plan cannot be made, and one whose perturbation is to be shown to a broken target.
+    """
     return _prepare(spec, library, "exact")
 
 
 def plan(spec: JobSpec, library: Library) -> JobPlan:
     """Returns the plan that a job would run, with its questions and what limits its search.
 
-    Raises InvalidRequest as `prepare` does, so that a job with a plan also runs.
+    Raises what `prepare` does.
     """
-    found = prepare(spec, library)
-    return plan_of(found)
+    return plan_of(prepare(spec, library))
 
 
 def plan_of(prepared: Prepared) -> JobPlan:
@@ -114,17 +108,19 @@ def plan_of(prepared: Prepared) -> JobPlan:
 
 
 def prepare(spec: JobSpec, library: Library) -> Prepared:
-    """Looks up meshes, map, materials, target and labels, renders the scene exactly and asks the network.
+    """Looks up meshes, map, materials, target and labels, renders the scene exactly, asks the network, makes the plan.
+
+    A request is checked by this function alone, before it is planned, queued or run, and so is a campaign's.
 
     Raises InvalidRequest naming the field, for: unknown names, a label out of range, an object out of view, a method
     that needs gradients of a network that has none, bounds that exclude the scene's own values, a loss that needs more
-    labels, a range of views beyond the renderer's, a surrogate that cannot guide (`surrogates`), and what
+    labels, a range of views beyond the renderer's, a surrogate that cannot guide (`surrogate`), and what
     `goals.settle` refuses. Raises JobFailure for a target or renderer that breaks its protocol.
     """
     found = _prepare(spec, library, spec.tolerance)
     load_targets(spec)
     with named(f"renderer {found.renderer.name!r}"):
-        _ = found.renderer.plan  # made now: a plan that cannot be made ends the job before its attack
+        _ = found.renderer.plan  # one that cannot be made is known before the attack
     return found
 
 

@@ -15,7 +15,7 @@ from services.scenes.library import Library
 def preview(spec: JobSpec, library: Library) -> tuple[Preview, Tensor]:
     """Returns what a job of this request would begin with, and the image of its scene, uint8 [H, W, 3].
 
-    Raises InvalidRequest if the request cannot run, as `preflight` does.
+    Raises InvalidRequest as `prepare` does, but for a plan that cannot be made.
     """
     found = prepare_exactly(spec, library)
     load_targets(spec)

@@ -141,7 +141,7 @@ def test_a_file_that_is_no_good_is_left_out_and_said_so(extended: Stack) -> None
         assert said[name]["adds"] == []
         assert why in logged[name]["error"]
     assert "No such file" in said["nowhere.py"]["error"]
-    assert {one["process"] for one in log if one["event"] == "extension left out"} == {"api", "preflight", "job"}
+    assert {one["process"] for one in log if one["event"] == "extension left out"} == {"api", "warm", "job"}
 
 
 def test_what_a_file_registered_before_it_failed_is_taken_back(extended: Stack) -> None:

@@ -37,7 +37,7 @@ def settings(redis_url: str, tmp_path_factory: pytest.TempPathFactory) -> Settin
 
 @pytest.fixture(scope="session")
 def app(settings: Settings) -> FastAPI:
-    """The real app with database, Redis and preflight process, and no worker: jobs stay queued."""
+    """The real app with database, Redis and warm processes, and no worker: jobs stay queued."""
     return create_app(settings)
 
 

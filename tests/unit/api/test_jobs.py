@@ -159,7 +159,7 @@ def test_more_jobs_than_the_queue_takes_are_put_off(client: Client, services: Se
     assert int(answer.headers["retry-after"]) > 0
 
 
-def test_a_lost_preflight_process_is_replaced(client: Client) -> None:
+def test_a_lost_warm_process_is_replaced(client: Client) -> None:
     submit(client)
     for child in psutil.Process().children():
         if "services.jobs.warm_process" in command_line(child):

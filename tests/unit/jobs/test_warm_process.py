@@ -2,11 +2,15 @@ from pathlib import Path
 
 import pytest
 
-from services.errors import JobFailure
+from services.errors import InvalidRequest, JobFailure
 from services.jobs import warm_process
 from services.jobs.child import OUT_OF_MEMORY
 from services.jobs.files import ArtifactStore
 from services.jobs.warm_process import answer
+from services.pipeline.execute import execute
+from services.pipeline.prepare import plan as plan_of_job
+from services.rendering.plan import Plan
+from services.rendering.torch_renderer.renderer import TorchRenderer
 from tests.unit.jobs.small import LIBRARY, spec
 
 
@@ -17,5 +21,22 @@ def test_a_request_that_can_never_fit_memory_is_answered_so(
     def refuse(*_: object) -> None:
         raise error
 
-    monkeypatch.setattr(warm_process, "preflight", refuse)
+    monkeypatch.setattr(warm_process, "prepare", refuse)
     assert answer({"check": spec().model_dump(mode="json")}, LIBRARY, ArtifactStore(tmp_path)) == OUT_OF_MEMORY
+
+
+def test_a_request_whose_plan_cannot_be_made_is_refused_before_it_is_queued(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """It was accepted, and refused by its worker: a check accepts what can be planned and run, and nothing else."""
+
+    def plan(_: object) -> Plan:
+        raise InvalidRequest("tolerance", "no plan keeps it")
+
+    monkeypatch.setattr(TorchRenderer, "plan", property(plan))
+    request = spec({"renderer": "torch"})
+    refusal = {"errors": [("tolerance", "no plan keeps it")]}
+    assert answer({"check": request.model_dump(mode="json")}, LIBRARY, ArtifactStore(tmp_path)) == refusal
+    for run in (lambda: plan_of_job(request, LIBRARY), lambda: execute(request, tmp_path, LIBRARY)):
+        with pytest.raises(InvalidRequest, match="tolerance: no plan keeps it"):
+            run()

@@ -11,7 +11,7 @@ from services.analysis.requests import AnalysisRequest, RerenderingRequest
 from services.errors import Cancelled, InvalidRequest
 from services.pipeline.analyse import analyse_stored, rerender_image
 from services.pipeline.execute import Progress, execute
-from services.pipeline.prepare import preflight, prepare
+from services.pipeline.prepare import prepare
 from services.pipeline.result import Result
 from services.rendering.factory import build
 from services.scenes.resolve import resolve
@@ -166,7 +166,7 @@ def test_an_analysis_that_cannot_be_made_is_refused_before_the_job(
     attack: dict[str, Any], transfer: dict[str, Any], field: str, said: str
 ) -> None:
     with pytest.raises(InvalidRequest) as refused:
-        preflight(spec(attack, analysis={"transfer": transfer}), LIBRARY)
+        prepare(spec(attack, analysis={"transfer": transfer}), LIBRARY)
     assert refused.value.field == f"analysis.transfer.{field}"
     assert said in refused.value.detail
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from services.errors import InvalidRequest
-from services.pipeline.prepare import plan, preflight, prepare
+from services.pipeline.prepare import plan, prepare
 from services.pipeline.spec import parse
 from services.targets import registry
 from tests.unit.attacks.small import LinearTarget
@@ -80,20 +80,20 @@ REFUSED: list[tuple[str, dict[str, Any]]] = [
 @pytest.mark.parametrize(("field", "changes"), REFUSED, ids=lambda value: value if isinstance(value, str) else "")
 def test_refused_naming_the_field(field: str, changes: dict[str, Any]) -> None:
     with pytest.raises(InvalidRequest) as refused:
-        preflight(parse({"scene": SPHERE} | changes), LIBRARY)
+        prepare(parse({"scene": SPHERE} | changes), LIBRARY)
     assert refused.value.field == field
     assert len(refused.value.detail) > 10
 
 
 def test_an_unknown_label_comes_with_near_ones() -> None:
     with pytest.raises(InvalidRequest, match="did you mean 'grand piano'"):
-        preflight(spec(goal={"leave": "gran piano"}), LIBRARY)
+        prepare(spec(goal={"leave": "gran piano"}), LIBRARY)
 
 
 def test_a_scene_it_gets_wrong_says_what_the_network_says() -> None:
-    first = preflight(spec(), LIBRARY).spec.goal.leave
+    first = prepare(spec(), LIBRARY).spec.goal.leave
     with pytest.raises(InvalidRequest, match=f"already gets this scene wrong: it says '{first}'"):
-        preflight(spec(goal={"leave": "grand piano"}), LIBRARY)
+        prepare(spec(goal={"leave": "grand piano"}), LIBRARY)
 
 
 def test_the_first_answer_is_the_label_to_leave_by_default() -> None:
@@ -110,7 +110,7 @@ def test_the_first_answer_is_the_label_to_leave_by_default() -> None:
 
 
 def test_a_scene_that_is_wrong_by_its_truth_is_attacked_with_a_warning() -> None:
-    found = preflight(spec(goal={"truth": "grand piano"}), LIBRARY)
+    found = prepare(spec(goal={"truth": "grand piano"}), LIBRARY)
     assert "already-wrong" in [warning.code for warning in found.warnings]
     assert found.spec.goal.truth == ("grand piano",)
     assert found.spec.goal.leave not in (None, "grand piano")
@@ -118,23 +118,23 @@ def test_a_scene_that_is_wrong_by_its_truth_is_attacked_with_a_warning() -> None
 
 def test_the_truth_of_a_library_mesh_is_filled_in() -> None:
     scene = {"objects": [{"mesh": "furniture/soccer-ball"}], "camera": {"size": [96, 96]}}
-    found = preflight(parse({"scene": scene}), LIBRARY)
+    found = prepare(parse({"scene": scene}), LIBRARY)
     assert found.spec.goal.truth == ("soccer ball",)
     assert found.spec.goal.leave == "soccer ball"
     assert found.warnings == ()
 
 
 def test_a_goal_already_reached_is_refused() -> None:
-    first = preflight(spec(), LIBRARY).spec.goal.leave
+    first = prepare(spec(), LIBRARY).spec.goal.leave
     with pytest.raises(InvalidRequest, match="already says") as refused:
-        preflight(spec(goal={"reach": first}), LIBRARY)
+        prepare(spec(goal={"reach": first}), LIBRARY)
     assert refused.value.field == "goal.reach"
 
 
 def test_a_network_with_one_label_is_refused_beforehand(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("services.pipeline.prepare.registry.labels", lambda _: ("thing",))
     with pytest.raises(InvalidRequest, match="one label only") as refused:
-        preflight(spec(), LIBRARY)
+        prepare(spec(), LIBRARY)
     assert refused.value.field == "target.name"
 
 
@@ -143,9 +143,9 @@ def test_a_method_with_gradients_is_refused_for_a_network_without(monkeypatch: p
     with pytest.raises(
         InvalidRequest, match="methods without gradients are cma-es, p-rgf, spsa, square, zoo"
     ) as refused:
-        preflight(spec(attack={"renderer": "image", "method": "fgsm"}), LIBRARY)
+        prepare(spec(attack={"renderer": "image", "method": "fgsm"}), LIBRARY)
     assert refused.value.field == "attack.method"
-    assert preflight(spec(attack={"renderer": "image", "method": "zoo"}), LIBRARY)
+    assert prepare(spec(attack={"renderer": "image", "method": "zoo"}), LIBRARY)
 
 
 def test_a_loss_that_the_number_of_classes_rules_out_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -156,9 +156,9 @@ def test_a_loss_that_the_number_of_classes_rules_out_is_refused(monkeypatch: pyt
     monkeypatch.setattr(target, "logits", lambda images: torch.stack([images.sum((1, 2, 3)), images[:, 0, 0, 0]], 1))
     attack = {"renderer": "image", "method": "apgd", "loss": "dlr"}
     with pytest.raises(InvalidRequest, match="dlr needs at least 3 classes") as refused:
-        preflight(spec(attack=attack), LIBRARY)
+        prepare(spec(attack=attack), LIBRARY)
     assert refused.value.field == "attack.loss"
-    assert preflight(spec(attack=attack | {"loss": "margin"}), LIBRARY)
+    assert prepare(spec(attack=attack | {"loss": "margin"}), LIBRARY)
 
 
 # The environment map's size
@@ -171,7 +171,7 @@ def auto(tolerance: float, **attack: Any) -> dict[str, Any]:
 
 
 def test_the_smallest_map_within_the_tolerance_is_chosen_and_said() -> None:
-    chosen = [preflight(parse(auto(t)), LIBRARY).spec.scene.lights.environment.size for t in (0.1, 0.01)]
+    chosen = [prepare(parse(auto(t)), LIBRARY).spec.scene.lights.environment.size for t in (0.1, 0.01)]
     assert chosen[0] < chosen[1]
     for tolerance, size in zip((0.1, 0.01), chosen, strict=True):
         scene = SPHERE | {"lights": {"environment": {"map": "studio", "size": size}}}
@@ -181,7 +181,7 @@ def test_the_smallest_map_within_the_tolerance_is_chosen_and_said() -> None:
 
 
 def test_where_no_map_lights_the_scene_its_size_is_the_default() -> None:
-    spec = preflight(parse(auto(1e-3, renderer="pyrender")), LIBRARY).spec
+    spec = prepare(parse(auto(1e-3, renderer="pyrender")), LIBRARY).spec
     assert spec.scene.lights.environment.size == (16, 32)
 
 
@@ -193,23 +193,22 @@ def test_a_method_that_needs_gradients_of_a_network_without_is_refused(monkeypat
     with pytest.raises(
         InvalidRequest, match=r"have none with respect to the image .* methods without gradients"
     ) as refused:
-        preflight(spec({"renderer": "image", "base_renderer": "pyrender"}), LIBRARY)
+        prepare(spec({"renderer": "image", "base_renderer": "pyrender"}), LIBRARY)
     assert refused.value.field == "attack.method"
     zoo = {"renderer": "image", "base_renderer": "pyrender", "method": "zoo"}
-    assert preflight(spec(zoo), LIBRARY).spec.attack.method == "zoo"
+    assert prepare(spec(zoo), LIBRARY).spec.attack.method == "zoo"
     registry.has_gradient.cache_clear()
 
 
-@pytest.mark.parametrize("check", [preflight, prepare])
 def test_a_target_of_the_analysis_that_cannot_be_loaded_is_refused_before_the_attack(
-    check: Callable[..., object], monkeypatch: pytest.MonkeyPatch
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     def load(name: str) -> object:
         raise InvalidRequest("target.name", f"target {name!r} cannot be loaded")
 
     monkeypatch.setattr("services.pipeline.prepare.registry.load", load_but(load, "alexnet"))
     with pytest.raises(InvalidRequest, match="'alexnet' cannot be loaded") as refused:
-        check(spec(analysis={"transfer": {"targets": ["efficientnet-lite0", "alexnet"]}}), LIBRARY)
+        prepare(spec(analysis={"transfer": {"targets": ["efficientnet-lite0", "alexnet"]}}), LIBRARY)
     assert refused.value.field == "analysis.transfer.targets.1"
 
 

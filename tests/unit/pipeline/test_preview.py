@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from services.errors import InvalidRequest, JobFailure
-from services.pipeline.prepare import plan, preflight, prepare
+from services.pipeline.prepare import plan, prepare
 from services.pipeline.preview import planned_cost, preview
 from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
 from services.rendering.torch_renderer.renderer import TorchRenderer
@@ -25,8 +25,7 @@ def test_it_shows_the_image_and_answers_that_a_job_begins_with(renderer: str) ->
     for label, value in first.answer.top:
         assert value == pytest.approx(float(probability(job.logits, job.target.labels.index(label))))
     assert first.answer.top[0][0] == first.answer.label == job.target.labels[int(job.logits.argmax())]
-    checked = preflight(request, LIBRARY)
-    assert (shown.spec, shown.warnings) == (checked.spec, checked.warnings)
+    assert (shown.spec, shown.warnings) == (job.spec, job.warnings)
 
 
 @pytest.mark.parametrize("renderer", [TorchRenderer, PyrenderRenderer])
@@ -63,7 +62,7 @@ def test_the_plan_is_that_of_the_command_and_the_cost_counts_steps() -> None:
 )
 def test_a_request_that_cannot_run_is_refused_as_a_job_is(changes: dict[str, Any]) -> None:
     with pytest.raises(InvalidRequest) as of_job:
-        preflight(spec(**changes), LIBRARY)
+        prepare(spec(**changes), LIBRARY)
     with pytest.raises(InvalidRequest) as of_preview:
         preview(spec(**changes), LIBRARY)
     assert str(of_preview.value) == str(of_job.value)

@@ -13,7 +13,7 @@ from safetensors.torch import load_file
 from services.analysis.images import answer as network_answer
 from services.errors import InvalidRequest
 from services.pipeline.execute import execute
-from services.pipeline.prepare import preflight, prepare_exactly
+from services.pipeline.prepare import prepare, prepare_exactly
 from services.pipeline.preview import preview
 from services.pipeline.question_record import ATTENTION
 from services.pipeline.spec import JobSpec, digest, parse
@@ -176,7 +176,7 @@ def test_what_cannot_reach_the_answer_is_left_out_and_listed(run: Any, tmp_path:
 def test_groups_of_many_coordinates_are_not_measured() -> None:
     attack = ATTACK | {"method": "zoo", "leave_out": {"image": 0.1}}
     with pytest.raises(InvalidRequest, match="too many coordinates") as refused:
-        preflight(parse(asking(calls(*LARGE), attack=attack)), LIBRARY)
+        prepare(parse(asking(calls(*LARGE), attack=attack)), LIBRARY)
     assert refused.value.field == "attack.leave_out.image"
 
 

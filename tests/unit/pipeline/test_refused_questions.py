@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from services.errors import InvalidRequest
-from services.pipeline.prepare import plan, preflight
+from services.pipeline.prepare import plan, prepare
 from services.pipeline.spec import parse
 from services.targets import registry
 from tests.unit.jobs.small import LIBRARY, SPHERE
@@ -76,7 +76,7 @@ REFUSED: list[tuple[str, str, dict[str, Any]]] = [
 @pytest.mark.parametrize(("field", "words", "data"), REFUSED, ids=[f"{a}-{b}" for a, b, _ in REFUSED])
 def test_refused_before_anything_is_queued(field: str, words: str, data: dict[str, Any]) -> None:
     with pytest.raises(InvalidRequest) as refused:
-        preflight(parse(data), LIBRARY)
+        prepare(parse(data), LIBRARY)
     assert words in str(refused.value)
     assert refused.value.field == field
 

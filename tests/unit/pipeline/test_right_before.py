@@ -9,7 +9,7 @@ import pytest
 from benchmarks.views import VIEWS
 from client.commands.demo import specs
 from services.accuracy.work_precision.attacks import NETWORK, SCENES
-from services.pipeline.prepare import preflight
+from services.pipeline.prepare import prepare
 from services.pipeline.result import Result
 from services.pipeline.spec import parse
 from services.scenes.library import Library
@@ -30,7 +30,7 @@ REQUESTS: dict[str, dict[str, Any]] = {name: one for name, one in EXAMPLES.items
 
 @pytest.mark.parametrize("name", REQUESTS)
 def test_a_job_of_the_demonstration_or_an_example_is_right_before(name: str) -> None:
-    found = preflight(parse(REQUESTS[name]), Library(Settings().cache_dir, Settings().data_dir))
+    found = prepare(parse(REQUESTS[name]), Library(Settings().cache_dir, Settings().data_dir))
     assert [warning.text for warning in found.warnings if warning.code in CHECKED] == []
     asked = REQUESTS[name].get("goal", {}).get("leave")
     assert asked is None or asked in (found.spec.goal.truth or ())

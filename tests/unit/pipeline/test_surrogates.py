@@ -9,7 +9,7 @@ import torch
 
 from services.errors import InvalidRequest
 from services.pipeline.execute import execute
-from services.pipeline.prepare import preflight, prepare
+from services.pipeline.prepare import prepare
 from services.pipeline.spec import parse
 from services.targets import registry
 from services.targets.info import TargetInfo
@@ -74,7 +74,7 @@ def registered(target: Other) -> Iterator[None]:
 )
 def test_a_surrogate_that_cannot_guide_is_refused(surrogate: str, said: str) -> None:
     with pytest.raises(InvalidRequest, match=said) as refused:
-        preflight(parse(data(surrogate)), LIBRARY)
+        prepare(parse(data(surrogate)), LIBRARY)
     assert refused.value.field == "attack.surrogate"
 
 
@@ -88,7 +88,7 @@ def test_a_surrogate_that_cannot_guide_is_refused(surrogate: str, said: str) -> 
 )
 def test_one_of_a_persons_own_is_refused_for_the_same_reasons(target: Other, goal: dict[str, Any], said: str) -> None:
     with registered(target), pytest.raises(InvalidRequest, match=said) as refused:
-        preflight(parse(data("other", goal=goal)), LIBRARY)
+        prepare(parse(data("other", goal=goal)), LIBRARY)
     assert refused.value.field == "attack.surrogate"
 
 

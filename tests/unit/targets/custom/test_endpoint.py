@@ -16,7 +16,7 @@ from PIL import Image
 
 from services.errors import InvalidRequest, JobFailure
 from services.pipeline.execute import execute
-from services.pipeline.prepare import preflight
+from services.pipeline.prepare import prepare
 from services.pipeline.spec import parse
 from services.targets import registry
 from services.targets.custom.card import AllowList
@@ -239,8 +239,8 @@ def test_a_job_attacks_it_without_gradients_only(server: Server, scan: Scan, tmp
     assert result.provenance.weights_sha256 == result.provenance.card_sha256
     job["attack"] = {"renderer": "torch", "method": "fgsm"}
     with pytest.raises(InvalidRequest, match=r"attack.method: fgsm needs gradients"):
-        preflight(parse(job), LIBRARY)
+        prepare(parse(job), LIBRARY)
     server.answers = [fixed(404)]
     registry.load.cache_clear()
     with pytest.raises(InvalidRequest, match=r"target 'far' fails on 2 RGB images .* status 404"):
-        preflight(parse(job), LIBRARY)
+        prepare(parse(job), LIBRARY)

@@ -12,7 +12,7 @@ from onnx import TensorProto, helper
 from torch import Tensor, nn
 
 from services.errors import InvalidRequest
-from services.pipeline.prepare import preflight
+from services.pipeline.prepare import prepare
 from services.pipeline.spec import parse
 from services.targets.info import TARGETS
 from tests.unit.jobs.small import LIBRARY
@@ -98,7 +98,7 @@ def test_a_mistake_in_the_folder_is_found_without_reading_the_network(scan: Scan
     assert net.error is not None
     net.error.encode()  # /readyz shows it
     with pytest.raises(InvalidRequest, match=f"target.name: target 'net' is not available: .*{said}"):
-        preflight(parse({"scene": SCENE, "target": {"name": "net"}, "attack": {"renderer": "pyrender"}}), LIBRARY)
+        prepare(parse({"scene": SCENE, "target": {"name": "net"}, "attack": {"renderer": "pyrender"}}), LIBRARY)
 
 
 def test_folders_that_cannot_be_names(scan: Scan, tmp_path: Path) -> None:
@@ -223,7 +223,7 @@ def test_a_network_that_cannot_be_used_is_refused_at_the_request(scan: Scan, tmp
     (net,) = scan(target_factories=f"{MODULE}:maite,{MODULE}:fails")
     assert net.error is None
     with pytest.raises(InvalidRequest, match=f"target 'net' .*{said}") as refused:
-        preflight(parse({"scene": SCENE, "target": {"name": "net"}, "attack": {"renderer": "pyrender"}}), LIBRARY)
+        prepare(parse({"scene": SCENE, "target": {"name": "net"}, "attack": {"renderer": "pyrender"}}), LIBRARY)
     assert refused.value.field == "target.name"
 
 

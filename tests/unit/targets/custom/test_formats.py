@@ -12,7 +12,7 @@ from torch.nn import functional as F
 from client import attack, images
 from services.errors import InvalidRequest
 from services.pipeline.execute import execute
-from services.pipeline.prepare import preflight
+from services.pipeline.prepare import prepare
 from services.pipeline.result import Result
 from services.pipeline.spec import parse
 from services.pipeline.target_check import check
@@ -161,7 +161,7 @@ def test_a_module_that_takes_no_such_image_is_told_the_size() -> None:
 @pytest.mark.usefixtures("formats")
 def test_a_gradient_method_on_scores_only_is_refused(name: str, reason: str) -> None:
     with pytest.raises(InvalidRequest, match=f"{reason}.*methods without") as refused:
-        preflight(parse({"scene": SCENE, "target": {"name": name}, "attack": FGSM}), LIBRARY)
+        prepare(parse({"scene": SCENE, "target": {"name": name}, "attack": FGSM}), LIBRARY)
     assert refused.value.field == "attack.method"
 
 
