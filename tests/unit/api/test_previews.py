@@ -60,7 +60,7 @@ def test_a_bad_request_gets_the_answer_of_a_job(client: Client, body: dict[str, 
     assert (answer.status_code, answer.json()) == (422, of_job.json())
 
 
-@pytest.mark.parametrize(("error", "status", "said"), [(TooSlow, 413, "120 s"), (NoneFree, 503, "try again")])
+@pytest.mark.parametrize(("error", "status", "said"), [(TooSlow, 413, "240 s"), (NoneFree, 503, "try again")])
 def test_too_little_time_is_said(
     services: Services,
     client: Client,
