@@ -99,12 +99,16 @@ def test_an_unknown_host_is_a_page_and_what_it_says_is_text(guarded: Guarded) ->
 def test_a_mistake_of_the_service_is_a_page_too(
     guarded: Guarded, monkeypatch: pytest.MonkeyPatch, path: str, accept: str, kind: str
 ) -> None:
-    monkeypatch.setattr(guarded.services.library, "entries", None)  # calling it raises what nothing catches
+    def broken(*_: object) -> None:
+        raise RuntimeError("password is 1234")
+
+    monkeypatch.setattr(guarded.services.library, "entries", broken)
     answer = guarded.client.get(path, headers={"accept": accept} | guarded.headers["alice"])
     assert answer.status_code == 500
     assert answer.headers["content-type"].startswith(kind)
     assert answer.headers["x-request-id"]
     assert answer.headers["connection"] == "close"
+    assert "1234" not in answer.text
     if kind == "text/html":
         tags = Tags(answer.text)
         assert "Internal Server Error" in tags.text

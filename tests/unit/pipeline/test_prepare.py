@@ -1,20 +1,22 @@
 """Every request that cannot run is refused before it is queued, and the refusal names the field."""
 
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from typing import Any
 
 import pytest
-import torch
 
+from services.accuracy.stability.objects import linear_network
 from services.errors import InvalidRequest
 from services.pipeline.prepare import plan, prepare
 from services.pipeline.spec import parse
 from services.targets import registry
-from tests.unit.attacks.small import LinearTarget
+from services.targets.info import TargetInfo
 from tests.unit.jobs.small import LIBRARY, SPHERE, spec
 
 pytestmark = pytest.mark.slow
 
+LINEAR = {"name": "linear"}
 SOMEWHERE_ELSE = {"mesh": "primitive/sphere", "translation": [50, 0, 0]}
 
 HIDDEN = {"objects": [{"mesh": "primitive/sphere", "scale": 0.3}], "floor": {"height": 0.4}}
@@ -131,34 +133,46 @@ def test_a_goal_already_reached_is_refused() -> None:
     assert refused.value.field == "goal.reach"
 
 
-def test_a_network_with_one_label_is_refused_beforehand(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("services.pipeline.prepare.registry.labels", lambda _: ("thing",))
-    with pytest.raises(InvalidRequest, match="one label only") as refused:
-        prepare(spec(), LIBRARY)
+def known(classes: int, differentiable: bool | None = None) -> AbstractContextManager[None]:
+    """A network with linear scores, which requests can name as LINEAR for as long as the context lasts."""
+    card = TargetInfo(
+        name=LINEAR["name"],
+        title="sums of pixels",
+        task="classification",
+        input_size=(8, 8),
+        classes=classes,
+        differentiable=differentiable,
+        takes_question=False,
+        source="this test",
+        licence="none",
+    )
+    return registry.registered(card, linear_network(classes=classes))
+
+
+def test_a_network_with_one_label_is_refused_beforehand() -> None:
+    with known(classes=1), pytest.raises(InvalidRequest, match="one label only") as refused:
+        prepare(spec(target=LINEAR), LIBRARY)
     assert refused.value.field == "target.name"
 
 
-def test_a_method_with_gradients_is_refused_for_a_network_without(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("services.pipeline.prepare.registry.has_gradient", lambda _: False)
-    with pytest.raises(
-        InvalidRequest, match="methods without gradients are cma-es, p-rgf, spsa, square, zoo"
-    ) as refused:
-        prepare(spec(attack={"renderer": "image", "method": "fgsm"}), LIBRARY)
-    assert refused.value.field == "attack.method"
-    assert prepare(spec(attack={"renderer": "image", "method": "zoo"}), LIBRARY)
+def test_a_method_that_needs_gradients_of_a_network_without_is_refused() -> None:
+    """It was queued, and failed in the job."""
+    image = {"renderer": "image", "base_renderer": "pyrender"}
+    said = r"have none with respect to the image .* methods without gradients are cma-es, p-rgf, spsa, square, zoo"
+    with known(classes=4, differentiable=False):
+        with pytest.raises(InvalidRequest, match=said) as refused:
+            prepare(spec(image | {"method": "fgsm"}, target=LINEAR), LIBRARY)
+        assert refused.value.field == "attack.method"
+        assert prepare(spec(image | {"method": "zoo"}, target=LINEAR), LIBRARY).spec.attack.method == "zoo"
 
 
-def test_a_loss_that_the_number_of_classes_rules_out_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    target = LinearTarget(classes=2)
-    monkeypatch.setattr("services.pipeline.prepare.registry.labels", lambda _: target.labels)
-    monkeypatch.setattr("services.pipeline.prepare.registry.load", lambda _: target)
-    monkeypatch.setattr("services.pipeline.prepare.registry.has_gradient", lambda _: True)
-    monkeypatch.setattr(target, "logits", lambda images: torch.stack([images.sum((1, 2, 3)), images[:, 0, 0, 0]], 1))
+def test_a_loss_that_the_number_of_classes_rules_out_is_refused() -> None:
     attack = {"renderer": "image", "method": "apgd", "loss": "dlr"}
-    with pytest.raises(InvalidRequest, match="dlr needs at least 3 classes") as refused:
-        prepare(spec(attack=attack), LIBRARY)
-    assert refused.value.field == "attack.loss"
-    assert prepare(spec(attack=attack | {"loss": "margin"}), LIBRARY)
+    with known(classes=2):
+        with pytest.raises(InvalidRequest, match="dlr needs at least 3 classes") as refused:
+            prepare(spec(attack=attack, target=LINEAR), LIBRARY)
+        assert refused.value.field == "attack.loss"
+        assert prepare(spec(attack=attack | {"loss": "margin"}, target=LINEAR), LIBRARY)
 
 
 # The environment map's size
@@ -183,21 +197,6 @@ def test_the_smallest_map_within_the_tolerance_is_chosen_and_said() -> None:
 def test_where_no_map_lights_the_scene_its_size_is_the_default() -> None:
     spec = prepare(parse(auto(1e-3, renderer="pyrender")), LIBRARY).spec
     assert spec.scene.lights.environment.size == (16, 32)
-
-
-def test_a_method_that_needs_gradients_of_a_network_without_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It was queued, and failed in the job."""
-    target = registry.load("efficientnet-lite0")
-    monkeypatch.setattr(target, "differentiable", False)
-    registry.has_gradient.cache_clear()
-    with pytest.raises(
-        InvalidRequest, match=r"have none with respect to the image .* methods without gradients"
-    ) as refused:
-        prepare(spec({"renderer": "image", "base_renderer": "pyrender"}), LIBRARY)
-    assert refused.value.field == "attack.method"
-    zoo = {"renderer": "image", "base_renderer": "pyrender", "method": "zoo"}
-    assert prepare(spec(zoo), LIBRARY).spec.attack.method == "zoo"
-    registry.has_gradient.cache_clear()
 
 
 def test_a_target_of_the_analysis_that_cannot_be_loaded_is_refused_before_the_attack(
