@@ -1,10 +1,11 @@
 """A renderer and a network small enough to know everything about: both linear, in float64 if asked."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar
 
+import pytest
 import torch
 from torch import Tensor
 
@@ -12,6 +13,7 @@ from services.attacks.attack import Attack, State
 from services.attacks.goal import ResolvedGoal
 from services.attacks.problem import AttackProblem, Evaluation, differentiate, evaluate
 from services.attacks.run import AttackRun, Verifier, run_attack
+from services.errors import Cancelled
 from services.rendering.plan import ImageError, Plan
 
 
@@ -128,6 +130,43 @@ def problem(
 def attack(case: AttackProblem, settings: Attack, checkpoint: Path | None = None, **given: object) -> AttackRun:
     """Runs an attack with these settings, changed by `given`, to its end."""
     return run_attack(AttackRun.begin_or_resume(case, settings.model_copy(update=given), Verifier.of(case), checkpoint))
+
+
+def resumed(
+    make: Callable[[], AttackProblem], settings: Attack, path: Path, renders: int | None = None, **given: object
+) -> AttackRun:
+    """An attack that was cancelled and went on from its checkpoint `path`, which was saved after every step. It is
+    asserted to end as one that ran through.
+
+    It is cancelled after `renders` calls of the problem's `interrupt`, by default half of all. `make` makes a problem.
+    """
+    calls = 0
+
+    def count() -> None:
+        nonlocal calls
+        calls += 1
+
+    whole = attack(replace(make(), interrupt=count), settings, **given)
+    left = iter(range(calls // 2 if renders is None else renders))
+
+    def die() -> None:
+        if next(left, None) is None:
+            raise Cancelled
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("services.attacks.run.EVERY", -1.0)
+        with pytest.raises(Cancelled):
+            attack(replace(make(), interrupt=die), settings, path, **given)
+    assert path.exists()
+    found = attack(make(), settings, path, **given)
+    ours, theirs = ([row.model_copy(update={"seconds": 0}) for row in one.trace] for one in (whole, found))
+    assert ours == theirs
+    for group, value in whole.stored.items():
+        assert torch.equal(value, found.stored[group])
+    assert torch.equal(whole.state["delta"], found.state["delta"])
+    assert torch.equal(whole.ever_truncated, found.ever_truncated)
+    assert (whole.settings, whole.sampled_error) == (found.settings, found.sampled_error)
+    return found
 
 
 def guided(case: AttackProblem, delta: Tensor, step: int = 0) -> Evaluation:

@@ -23,10 +23,9 @@ from services.attacks.differences import (
 )
 from services.attacks.fgsm import Fgsm
 from services.attacks.problem import AttackProblem, Evaluation, differentiate, evaluate
-from services.attacks.run import AttackRun
-from services.errors import Cancelled, JobFailure
+from services.errors import JobFailure
 from services.rendering.protocol import InactiveCoordinate, Parameters
-from tests.unit.attacks.small import CurvedRenderer, LinearTarget, OpaqueCurvedRenderer, attack, problem
+from tests.unit.attacks.small import CurvedRenderer, LinearTarget, OpaqueCurvedRenderer, attack, problem, resumed
 
 FGSM = Fgsm.model_construct(learning_rate={"a": 0.01, "b": 0.01}, momentum=0.9, weight_decay=1e-4)
 
@@ -213,28 +212,10 @@ def test_a_coordinate_that_was_inactive_at_the_start_counts_where_it_is_active()
     assert_same(found(case, at), autograd(0, at))
 
 
-def test_a_resumed_attack_ends_in_the_same_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("services.attacks.run.EVERY", -1.0)  # after every step
+def test_a_resumed_attack_ends_in_the_same_result(tmp_path: Path) -> None:
+    """It is cancelled at a rendering of the differences, inside the backward pass."""
     hard = LinearTarget(scale=1e-3)
-
-    def attacked(path: Path | None, interrupt: object = lambda: None) -> AttackRun:
-        return attack(problem(OpaqueCurvedRenderer(), hard, truncation=0.01, interrupt=interrupt), FGSM, path, steps=6)
-
-    whole, left = attacked(None), iter(range(15))
-
-    def die() -> None:
-        if next(left, None) is None:  # at a rendering of the differences, inside the backward pass
-            raise Cancelled
-
-    with pytest.raises(Cancelled):
-        attacked(tmp_path / "checkpoint", die)
-    assert (tmp_path / "checkpoint").exists()
-    resumed = attacked(tmp_path / "checkpoint")
-    assert whole.settings == resumed.settings
-    ours, theirs = ([row.model_copy(update={"seconds": 0}) for row in one.trace] for one in (whole, resumed))
-    assert ours == theirs
-    for group, value in whole.stored.items():
-        assert torch.equal(value, resumed.stored[group])
+    resumed(lambda: problem(OpaqueCurvedRenderer(), hard, truncation=0.01), FGSM, tmp_path / "checkpoint", 14, steps=6)
 
 
 def test_an_image_that_is_not_finite_ends_the_job_from_inside_the_backward_pass() -> None:

@@ -13,10 +13,10 @@ from services.attacks.problem import AttackProblem, Evaluation, evaluate, quanti
 from services.attacks.run import AttackRun, Verifier, run_attack
 from services.attacks.zoo import Zoo
 from services.device import finite
-from services.errors import Cancelled, JobFailure
+from services.errors import JobFailure
 from services.rendering.color import as_saved
 from services.rendering.plan import ImageError
-from tests.unit.attacks.small import Ahead, LinearRenderer, LinearTarget, attack, problem
+from tests.unit.attacks.small import Ahead, LinearRenderer, LinearTarget, attack, problem, resumed
 
 FGSM = Fgsm.model_construct(learning_rate={"a": 0.01, "b": 0.01}, momentum=0.9, weight_decay=1e-4)
 ZOO = Zoo.model_construct(coordinates=4, delta=1e-4, learning_rate=2e-3)
@@ -158,29 +158,8 @@ def test_budgets_end_it(settings: Attack) -> None:
 
 
 @METHODS
-def test_a_resumed_attack_ends_in_the_same_result(
-    settings: Attack, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("services.attacks.run.EVERY", -1.0)  # after every step
-    whole = attack(problem(truncation=0.002), settings, steps=12)
-    seen = 0
-
-    def die() -> None:
-        nonlocal seen
-        seen += 1
-        if seen > (8 if settings is ZOO else 7):
-            raise Cancelled
-
-    with pytest.raises(Cancelled):
-        attack(problem(truncation=0.002, interrupt=die), settings, tmp_path / "checkpoint", steps=12)
-    resumed = attack(problem(truncation=0.002), settings, tmp_path / "checkpoint", steps=12)
-    for group, value in whole.stored.items():
-        assert torch.equal(value, resumed.stored[group])
-    assert [row.model_copy(update={"seconds": 0}) for row in whole.trace] == [
-        row.model_copy(update={"seconds": 0}) for row in resumed.trace
-    ]
-    assert torch.equal(whole.ever_truncated, resumed.ever_truncated)
-    assert whole.settings == resumed.settings
+def test_a_resumed_attack_ends_in_the_same_result(settings: Attack, tmp_path: Path) -> None:
+    resumed(lambda: problem(truncation=0.002), settings, tmp_path / "checkpoint", 7 if settings is ZOO else 6, steps=12)
 
 
 class Measured(LinearRenderer):
@@ -196,25 +175,9 @@ class Measured(LinearRenderer):
         return images
 
 
-def test_a_resumed_attack_knows_the_errors_of_images_rendered_before(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("services.attacks.run.EVERY", -1.0)  # after every step
-    path, seen = tmp_path / "checkpoint", 0
-
-    def die() -> None:
-        nonlocal seen
-        seen += 1
-        if seen > 9:
-            raise Cancelled
-
-    whole, cut, resumed = (problem(Measured(), truncation=0.002, interrupt=call) for call in (int, die, int))
-    wanted = attack(whole, FGSM, steps=12).sampled_error
-    with pytest.raises(Cancelled):
-        attack(cut, FGSM, path, steps=12)
-    found = attack(resumed, FGSM, path, steps=12)
-    assert resumed.renderer.sampled_error != wanted  # the worst image was rendered before
-    assert found.sampled_error == wanted
+def test_a_resumed_attack_knows_the_errors_of_images_rendered_before(tmp_path: Path) -> None:
+    found = resumed(lambda: problem(Measured(), truncation=0.002), FGSM, tmp_path / "checkpoint", 8, steps=12)
+    assert found.sampled_error != found.problem.renderer.sampled_error  # the worst image was rendered before
 
 
 def test_a_damaged_checkpoint_is_as_good_as_none(tmp_path: Path) -> None:

@@ -11,10 +11,16 @@ from services.attacks.differences import ImageDifferences
 from services.attacks.fgsm import Fgsm
 from services.attacks.natural_gradient import NaturalGradient, steepest
 from services.attacks.problem import AttackProblem
-from services.attacks.run import AttackRun
-from services.errors import Cancelled
 from services.pipeline.spec import parse
-from tests.unit.attacks.small import CurvedRenderer, LinearTarget, OpaqueCurvedRenderer, attack, guided, problem
+from tests.unit.attacks.small import (
+    CurvedRenderer,
+    LinearTarget,
+    OpaqueCurvedRenderer,
+    attack,
+    guided,
+    problem,
+    resumed,
+)
 
 RANDOM = torch.Generator().manual_seed(0)
 SETTINGS = NaturalGradient.model_construct(radius=0.005)
@@ -110,26 +116,9 @@ def test_it_lowers_the_objective_more_than_signs_do_at_the_same_p() -> None:
     assert falls["natural"] > 1.2 * falls["signs"] > 0
 
 
-def test_resumed_it_ends_in_the_same_bits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("services.attacks.run.EVERY", -1.0)  # after every step
+def test_resumed_it_ends_in_the_same_bits(tmp_path: Path) -> None:
     hard = LinearTarget(scale=1e-3)
-
-    def attacked(path: Path | None = None, interrupt: object = lambda: None) -> AttackRun:
-        return attack(problem(OpaqueCurvedRenderer(), hard, interrupt=interrupt), SETTINGS, path, steps=8)
-
-    whole, left = attacked(), iter(range(18))
-
-    def die() -> None:
-        if next(left, None) is None:
-            raise Cancelled
-
-    with pytest.raises(Cancelled):
-        attacked(tmp_path / "checkpoint", die)
-    assert (tmp_path / "checkpoint").exists()
-    resumed = attacked(tmp_path / "checkpoint")
-    for group, value in whole.stored.items():
-        assert torch.equal(value, resumed.stored[group])
-    assert [row.objective for row in whole.trace] == [row.objective for row in resumed.trace]
+    resumed(lambda: problem(OpaqueCurvedRenderer(), hard), SETTINGS, tmp_path / "checkpoint", 17, steps=8)
 
 
 def test_what_it_cannot_do_is_refused_with_what_can() -> None:

@@ -10,7 +10,6 @@ from services.attacks.goal import ResolvedGoal
 from services.attacks.p_rgf import PRgf, projected_gradient, surrogate_gradient
 from services.attacks.problem import AttackProblem, Surrogate
 from services.attacks.request import Expectation
-from services.attacks.run import AttackRun, Verifier, run_attack
 from services.attacks.spsa import draw_directions
 from services.rendering.protocol import InactiveCoordinate
 from tests.unit.attacks.small import (
@@ -23,6 +22,7 @@ from tests.unit.attacks.small import (
     attack,
     autograd,
     problem,
+    resumed,
     smooth,
     stepped,
 )
@@ -187,23 +187,14 @@ def test_no_direction_at_all_is_refused() -> None:
 
 
 @pytest.mark.parametrize("kind", [Pixels, OpaqueCurvedRenderer])
-def test_resumed_it_ends_in_the_same_bits(
-    kind: type[LinearRenderer], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_resumed_it_ends_in_the_same_bits(kind: type[LinearRenderer], tmp_path: Path) -> None:
     """Also where the half-steps of the surrogate's gradient are measured."""
-    monkeypatch.setattr("services.attacks.run.EVERY", -1.0)  # after every step
     renderer = kind(dtype=torch.float32)
     limits = dict.fromkeys(renderer.groups, 0.05)
-    given = PRgf.model_construct(pairs=2, surrogate="other", delta=limits, learning_rate=limits, steps=6)
+    given = PRgf.model_construct(pairs=2, surrogate="other", delta=limits, learning_rate=limits)
 
     def build() -> AttackProblem:
         case = problem(renderer, Ahead(renderer), epsilon=limits)
         return replace(case, surrogate=Surrogate(Ahead(renderer), ResolvedGoal(case.goal.leave, None)))
 
-    whole = attack(build(), given)
-    attack(build(), given, tmp_path / "checkpoint", steps=3)
-    resumed = AttackRun.begin_or_resume(case := build(), given, Verifier.of(case), tmp_path / "checkpoint")
-    assert resumed.step == 3
-    resumed.stopped = None  # it had only three steps
-    assert torch.equal(whole.state["delta"], run_attack(resumed).state["delta"])
-    assert whole.settings == resumed.settings
+    resumed(build, given, tmp_path / "checkpoint", steps=6)

@@ -1,18 +1,14 @@
 """Restarts: random starts within ε after one that held, the best of them kept, the trace saying which is which."""
 
-from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
-import torch
 
 from services.attacks.attack import State
 from services.attacks.fgsm import Fgsm
 from services.attacks.problem import AttackProblem, Evaluation
 from services.attacks.run import AttackRun
-from services.errors import Cancelled
-from tests.unit.attacks.small import Ahead, FreeRenderer, LinearTarget, attack, problem
+from tests.unit.attacks.small import Ahead, FreeRenderer, LinearTarget, attack, problem, resumed
 
 STEPS = 3
 EPSILON = {"a": 0.05, "b": 0.05}
@@ -70,24 +66,7 @@ def test_a_success_ends_the_restarts() -> None:
     assert held.best.step == held.trace[-1].step
 
 
-def test_a_resumed_attack_with_restarts_ends_in_the_same_result(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("services.attacks.run.EVERY", -1.0)  # after every step
-    whole = restarted(case_of(), restarts=3)
-    for lives in (6, 9, 13):  # dies within a restart, and at the beginning of one
-        left = iter(range(lives))
-
-        def die(left: Iterator[int] = left) -> None:
-            if next(left, None) is None:
-                raise Cancelled
-
-        path = tmp_path / f"checkpoint {lives}"
-        with pytest.raises(Cancelled):
-            restarted(replace(case_of(), interrupt=die), restarts=3, path=path)
-        resumed = restarted(case_of(), restarts=3, path=path)
-        assert [row.model_copy(update={"seconds": 0}) for row in whole.trace] == [
-            row.model_copy(update={"seconds": 0}) for row in resumed.trace
-        ]
-        for group, value in whole.stored.items():
-            assert torch.equal(value, resumed.stored[group])
+@pytest.mark.parametrize("renders", [6, 9, 13])
+def test_a_resumed_attack_with_restarts_ends_in_the_same_result(renders: int, tmp_path: Path) -> None:
+    """It is cancelled within a restart, and at the beginning of one."""
+    resumed(case_of, RATES, tmp_path / "checkpoint", renders, steps=STEPS, restarts=3)
