@@ -185,8 +185,16 @@ class Limits:
         return truncate(images, original, self.truncation)
 
     def reached(self, image: Tensor, original: Tensor) -> float:
-        """The part of the limits of backtracking that an image takes; see `reached`."""
-        return reached(image, original, self.backtrack, self.perceptibility)
+        """The part of the limits of backtracking that an image [1, H, W, 3] takes: of `backtrack` its largest change of
+        a value, of `perceptibility` its p, whichever is more; both less the margin that backtracking keeps.
+        """
+        change, parts = image - original, [0.0]
+        if self.backtrack is not None:
+            parts.append(float(change.abs().max()) / (self.backtrack - BACKTRACK_MARGIN + ROUNDING))
+        if self.perceptibility is not None:
+            p = float(change.double().square().sum(-1).mean().sqrt())
+            parts.append(p / ((1 - P_MARGIN) * self.perceptibility))
+        return max(parts)
 
 
 def box(
@@ -279,17 +287,3 @@ def _scale(reach: Callable[[Tensor], float], delta: Tensor) -> float:
             if part >= 1 - SLACK or part == 0:
                 break
     return low
-
-
-def reached(image: Tensor, original: Tensor, limit: float | None, perceptibility: float | None) -> float:
-    """The part of its limits that an image [1, H, W, 3] takes: of `limit` its largest change of a value, of
-    `perceptibility` its p, whichever is more; both less the margin that backtracking keeps. None is no limit.
-    """
-    change = image - original
-    parts = [0.0]
-    if limit is not None:
-        parts.append(float(change.abs().max()) / (limit - BACKTRACK_MARGIN + ROUNDING))
-    if perceptibility is not None:
-        p = float(change.double().square().sum(-1).mean().sqrt())
-        parts.append(p / ((1 - P_MARGIN) * perceptibility))
-    return max(parts)

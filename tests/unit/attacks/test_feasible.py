@@ -13,7 +13,6 @@ from services.attacks.limits import (
     Limits,
     box,
     pulled_back,
-    reached,
 )
 from services.attacks.problem import random_start
 from services.errors import InvalidRequest
@@ -117,9 +116,13 @@ def test_both_limits_of_backtracking_hold() -> None:
     original = torch.full((1, 2, 2, 3), 0.5)
     image = original.clone()
     image[0, 0, 0, 0] += 0.1  # p is 0.05
-    assert reached(image, original, 0.11, 0.06) < 1 < reached(image, original, 0.09, 0.06)
-    assert reached(image, original, 0.11, 0.04) == pytest.approx(0.05 / (0.04 * (1 - P_MARGIN)))
-    assert reached(image, original, None, None) == 0
+
+    def reached(**limits: float) -> float:
+        return Limits.of(INITIAL, PHYSICAL, **limits).reached(image, original)
+
+    assert reached(backtrack=0.11, perceptibility=0.06) < 1 < reached(backtrack=0.09, perceptibility=0.06)
+    assert reached(backtrack=0.11, perceptibility=0.04) == pytest.approx(0.05 / (0.04 * (1 - P_MARGIN)))
+    assert reached() == 0
 
 
 def test_every_method_stays_within_epsilon() -> None:
