@@ -173,6 +173,22 @@ def inactive_mask(
     return problem.layout.mask((one.group, one.index) for one in found)
 
 
+def active(
+    problem: AttackProblem,
+    delta: Tensor,
+    inactive_at_start: Tensor,
+    half_steps: Tensor,
+    variations: Sequence[Variation | None] = (None,),
+) -> Tensor:
+    """The coordinates to difference at a perturbation [total]: all but those that the constraint fixes, and those
+    inactive at the start, a mask, bool [total], that still are. Most scenes have none.
+    """
+    still = inactive_at_start
+    if still.any():
+        still = still & inactive_mask(problem, delta, half_steps, variations)
+    return (~(still | problem.limits.fixed)).nonzero()[:, 0]
+
+
 def skipped(
     problem: AttackProblem, half_steps: Tensor, variations: Sequence[Variation | None] = (None,)
 ) -> list[dict[str, str]]:
@@ -222,11 +238,8 @@ class ImageDifferences:
         inactive or below the noise. Also the metric ∂Yᵀ∂Y per pixel, float64 [total, total], or None.
         """
         layout = problem.layout
-        still = self.inactive
-        if still.any():
-            looked = (None, *problem.variations(step)) if variation is None else (variation,)
-            still = still & inactive_mask(problem, delta, self.half_steps, looked)
-        coordinates = (~(still | problem.limits.fixed)).nonzero()[:, 0]
+        looked = (None, *problem.variations(step)) if variation is None else (variation,)
+        coordinates = active(problem, delta, self.inactive, self.half_steps, looked)
         vector = layout.zeros().double()
         slopes: list[Tensor] | None = [] if self.keeps_metric else None
         steps = self.half_steps[coordinates]

@@ -11,8 +11,6 @@ from services.errors import JobFailure
 from services.rendering.declaration import RENDERERS
 
 if TYPE_CHECKING:
-    from torch import Tensor
-
     from services.attacks.attack import State
     from services.attacks.problem import AttackProblem, Evaluation
 
@@ -133,12 +131,13 @@ class Zoo(Attack):
         A coordinate whose difference is below the noise does not move and keeps its moments; such differences are
         counted. Raises JobFailure("non-finite").
         """
-        from services.attacks.differences import estimate
+        from services.attacks.differences import active, estimate
         from services.attacks.problem import draw
 
         at, step = evaluation.delta.to(state["delta"].dtype), evaluation.step
         half_steps, noise = state["half_steps"], float(state["noise"])
-        chosen = draw(self._active(problem, at, state, step), self.coordinates, problem.seed, "zoo", step)
+        coordinates = active(problem, at, state["inactive"], half_steps, (None, *problem.variations(step)))
+        chosen = draw(coordinates, self.coordinates, problem.seed, "zoo", step)
         estimated = estimate(problem, at, chosen, half_steps[chosen], noise, step)
         if not bool(estimated.gradients.isfinite().all()):
             raise JobFailure("non-finite", "a difference of the objective is not finite")
@@ -160,14 +159,3 @@ class Zoo(Attack):
             "moves": moves,
             "below_noise": estimated.below_noise.sum(),
         }
-
-    def _active(self, problem: AttackProblem, delta: Tensor, state: State, step: int) -> Tensor:
-        """The coordinates to draw from: all but those that the constraint fixes, and those inactive at the start that
-        still are. Most scenes have none.
-        """
-        from services.attacks.differences import inactive_mask
-
-        still = state["inactive"]
-        if still.any():
-            still = still & inactive_mask(problem, delta, state["half_steps"], (None, *problem.variations(step)))
-        return (~(still | problem.limits.fixed)).nonzero()[:, 0]
