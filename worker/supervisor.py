@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-from services.confinement.system_calls import die_with_parent
+from services.confinement import die_with_parent
 from services.jobs import watchdog
 from services.logs import logger
 

@@ -166,7 +166,7 @@ def running_service(data: Path, environ: dict[str, str]) -> Iterator[tuple[str, 
     Gives its URL and its process once it takes jobs. Its log is `data`/service.log. The service is stopped on leaving,
     also by SIGTERM or SIGINT. Raises JobFailure("internal") if it ends before it is ready.
     """
-    from services.confinement.system_calls import die_with_parent
+    from services.confinement import die_with_parent
 
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     # A shell without job control starts background processes with SIGINT ignored, and Python then leaves it ignored.

@@ -21,7 +21,7 @@ from queue import SimpleQueue
 from threading import Thread, Timer
 from typing import Any
 
-from services.confinement.system_calls import die_with_parent
+from services.confinement import die_with_parent
 from services.scenes.isolated_reading import READING_BYTES
 from services.settings import Settings
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import torch
 
-from services.confinement.system_calls import forbid_new_privileges
+from services.confinement import forbid_new_privileges
 from services.jobs.child import limit_memory
 from services.pipeline.extensions import log_extensions, set_up
 from services.pipeline.spec import DEFAULT_TARGET

@@ -23,7 +23,7 @@ import numpy as np
 import trimesh
 from PIL import Image
 
-from services.confinement.confine import Limits, address_space, confine, drop_privileges
+from services.confinement import Limits, address_space, confine, drop_privileges
 from services.errors import InvalidRequest
 from services.scenes.beside import Beside
 from services.scenes.bundle import Bundle, unpack_archive

@@ -8,13 +8,13 @@ import sys
 
 import pytest
 
-from services.confinement import confine
+from services.confinement import ALLOWED, program
 
 pytestmark = pytest.mark.slow
 
 SCRIPT = """
 import ctypes, json, os, resource, signal, socket, subprocess, sys
-from services.confinement.confine import Limits, address_space, confine, drop_privileges
+from services.confinement import Limits, address_space, confine, drop_privileges
 parent, secret = os.getppid(), sys.argv[1]
 libc = ctypes.CDLL(None, use_errno=True)
 def call(number, *given):
@@ -92,11 +92,11 @@ def test_the_server_of_children_reaches_no_file(tmp_path):
 
 def test_a_processor_without_a_list_of_system_calls_is_refused():
     with pytest.raises(OSError, match="riscv64"):
-        confine.program("riscv64")
+        program("riscv64")
 
 
 @pytest.mark.parametrize("machine", ["x86_64", "aarch64"])
 def test_the_filter_ends_in_a_refusal(machine):
-    code = confine.program(machine)
-    assert len(code) == 8 * (6 + len(confine.ALLOWED))
-    assert len({one[0] for one in confine.ALLOWED.values()}) == len({one[1] for one in confine.ALLOWED.values()})
+    code = program(machine)
+    assert len(code) == 8 * (6 + len(ALLOWED))
+    assert len({one[0] for one in ALLOWED.values()}) == len({one[1] for one in ALLOWED.values()})

@@ -1,6 +1,7 @@
-"""Confines a process in two steps: a server that only forks, and its children, which each read what is not trusted.
+"""Takes rights from the running process before it reads bytes that are not trusted (Linux).
 
-The file system is taken from the process, and TCP where the kernel can (Landlock, Linux 5.13 and later); then a seccomp
+A process is confined in two steps: a server that only forks, and its children, which each read what is not trusted. The
+file system is taken from the process, and TCP where the kernel can (Landlock, Linux 5.13 and later); then a seccomp
 filter for a process that computes refuses all but a few system calls with EPERM.
 
 What is left is memory, time, and reading and writing what is open already: no file can be opened, no socket made, no
@@ -11,11 +12,10 @@ import ctypes
 import os
 import platform
 import resource
+import signal
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
-
-from services.confinement.system_calls import die_with_parent, forbid_new_privileges, prctl, syscall
 
 _CREATE_RULESET, _RESTRICT_SELF = 444, 446
 _GET_VERSION = 1
@@ -175,3 +175,42 @@ def _attempt(what: str, step: Callable[[], None]) -> list[str]:
     except OSError as error:
         return [f"it cannot be refused {what}: {error}"]
     return []
+
+
+_libc = ctypes.CDLL(None, use_errno=True)
+_PR_SET_PDEATHSIG, _PR_SET_NO_NEW_PRIVS = 1, 38
+
+
+def prctl(option: int, *arguments: object) -> int:
+    """prctl(2). Raises OSError."""
+    given = [*arguments, *([0] * (4 - len(arguments)))]
+    return _checked(_libc.prctl(option, *(ctypes.c_ulong(one) if isinstance(one, int) else one for one in given)))
+
+
+def syscall(number: int, *arguments: object) -> int:
+    """syscall(2). Raises OSError."""
+    given = (ctypes.c_long(one) if isinstance(one, int) else one for one in arguments)
+    return _checked(_libc.syscall(ctypes.c_long(number), *given))
+
+
+def forbid_new_privileges() -> None:
+    """No program that this process starts can have more rights than it, by set-user-ID or otherwise. Raises OSError."""
+    prctl(_PR_SET_NO_NEW_PRIVS, 1)
+
+
+def die_with_parent() -> None:
+    """The kernel kills this process when the thread of its parent that started it ends.
+
+    This is kept across exec; a change of user or group takes it back. Raises OSError.
+    """
+    parent = os.getppid()
+    prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    if os.getppid() != parent:  # the parent ended before the call
+        os.kill(os.getpid(), signal.SIGKILL)
+
+
+def _checked(result: int) -> int:
+    if result < 0:
+        number = ctypes.get_errno()
+        raise OSError(number, os.strerror(number))
+    return result
