@@ -84,18 +84,18 @@ def test_the_signs_of_a_square_are_drawn_for_each_channel_and_only_what_is_bette
     assert torch.equal(stepped_at(0.9, state, 30)["best"], better)
 
 
-def test_the_stripes_are_no_step_of_the_schedule(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The authors count iterations from 0 after the stripes: the first square is that of iteration 0."""
-    asked: list[tuple[int, int]] = []
-
-    def side(_share: float, step: int, steps: int, _size: tuple[int, int]) -> int:
-        asked.append((step, steps))
-        return 1
-
-    monkeypatch.setattr("services.attacks.square.square_side", side)
+def test_the_stripes_are_no_step_of_the_schedule() -> None:
+    """The authors count iterations from 0 after the stripes. Of 1,000 steps the first halving is before iteration 2,
+    whose square is of √(0.8/2·20) ≈ 3 rows; those before are of √(0.8·20) = 4.
+    """
     case = problem(Pixels(), LinearTarget(), loss="margin", epsilon={"image": EPSILON})
-    attack(case, Square.model_construct(epsilon={"image": EPSILON}, steps=9, share=0.1), steps=4)
-    assert asked[-3:] == [(0, 4), (1, 4), (2, 4)]
+    square = Square.model_construct(epsilon={"image": EPSILON}, steps=1000, share=0.8)
+    state, rows = square.init(case), []
+    for step in range(4):
+        state = stepped(case, square, state, step)
+        moved = case.layout.unflatten(state["delta"] != state["best"])["image"]
+        rows.append(int(moved.flatten(1).any(dim=1).sum()))
+    assert rows[1:] == [4, 4, 3]
 
 
 @pytest.mark.parametrize(
