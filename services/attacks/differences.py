@@ -87,16 +87,16 @@ def _quotient(change: Tensor, width: Tensor, below_noise: Tensor) -> Tensor:
 
 
 @torch.no_grad()
-def measure_noise(problem: AttackProblem, delta: Tensor, samples: int = 8) -> float:
+def measure_noise(problem: AttackProblem, delta: Tensor) -> float:
     """Noise floor of the objective at the perturbation `delta` [total]: its spread under floating-point rounding.
 
-    The image is jittered `samples` times by at most the machine epsilon of its dtype. The noise floor is twice the
+    The image is jittered eight times by at most the machine epsilon of its dtype. The noise floor is twice the
     range of the objective over these images.
     """
     random = problem.generator("noise")
     image = problem.render(delta[None])
     scores = []
-    for _ in range(samples):
+    for _ in range(8):
         jitter = torch.rand(image.shape, generator=random, dtype=image.dtype).to(image.device) - 0.5
         jittered = image + 2 * torch.finfo(image.dtype).eps * jitter
         scores.append(problem.advantages(jittered) + problem.penalty(jittered))
@@ -189,13 +189,18 @@ def active(
     return (~(still | problem.limits.fixed)).nonzero()[:, 0]
 
 
-def skipped(
+def settings_of(
     problem: AttackProblem, half_steps: Tensor, variations: Sequence[Variation | None] = (None,)
-) -> list[dict[str, str]]:
-    """The coordinates that are inactive in the scene itself, and why, as JSON."""
-    return [
-        {"coordinate": one.name, "why": one.why} for one in inactive(problem, problem.nothing, half_steps, variations)
-    ]
+) -> dict[str, object]:
+    """How differences are taken, as JSON: the half-step of each group, `delta`, and the coordinates that are inactive
+    at the start, `skipped`, with why.
+    """
+    layout = problem.layout
+    found = inactive(problem, problem.nothing, half_steps, variations)
+    return {
+        "delta": {group: float(half_steps[layout.starts[group]]) for group in layout.groups},
+        "skipped": [{"coordinate": one.name, "why": one.why} for one in found],
+    }
 
 
 # Of the image
@@ -225,10 +230,8 @@ class ImageDifferences:
         return cls.at(problem, measure_image_half_steps(problem), keeps_metric=keeps_metric)
 
     def settings(self, problem: AttackProblem) -> dict[str, object]:
-        """The half-step of each group, `delta`, and the coordinates left out, `skipped`, as JSON."""
-        layout = problem.layout
-        delta = {group: float(self.half_steps[layout.starts[group]]) for group in layout.groups}
-        return {"delta": delta, "skipped": skipped(problem, self.half_steps)}
+        """See `settings_of`."""
+        return settings_of(problem, self.half_steps)
 
     @torch.no_grad()
     def project(

@@ -116,14 +116,10 @@ class Zoo(Attack):
 
     def measured(self, problem: AttackProblem, state: State) -> dict[str, object]:
         """The half-step of each group as `delta`, the `noise`, and the inactive coordinates, `skipped`."""
-        from services.attacks.differences import skipped
+        from services.attacks.differences import settings_of
 
-        layout, half_steps = problem.layout, state["half_steps"]
-        return {
-            "delta": {group: float(half_steps[layout.starts[group]]) for group in layout.groups},
-            "noise": float(state["noise"]),
-            "skipped": skipped(problem, half_steps, (None, *problem.variations(0))),
-        }
+        looked = (None, *problem.variations(0))
+        return {"noise": float(state["noise"])} | settings_of(problem, state["half_steps"], looked)
 
     def step(self, problem: AttackProblem, state: State, evaluation: Evaluation) -> State:
         """Estimates the gradient at random coordinates and moves only those, each with Adam's moments of its own.
