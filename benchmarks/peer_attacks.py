@@ -177,8 +177,8 @@ def right_images(library: Library, count: int) -> tuple[Tensor, Tensor, list[str
                 prepared = prepare(parse({"scene": scene, "goal": {"leave": label}}), library)
             except InvalidRequest:
                 continue
-            images.append(prepared.original)
-            labels.append(int(prepared.logits.argmax()))
+            images.append(prepared.original.saved)
+            labels.append(int(prepared.original.logits.argmax()))
             names.append(f"{mesh} at {azimuth:g}")
     return torch.stack(images), torch.tensor(labels), names
 

@@ -21,7 +21,7 @@ def right(library: Library, count: int) -> Iterator[tuple[str, str]]:
             found = prepare(parse({"scene": {"objects": [{"mesh": mesh}]}, "goal": {"leave": label}}), library)
         except InvalidRequest:
             continue
-        if any(warning.code in ("already-wrong", "truth-unknown") for warning in found.warnings):
+        if any(warning.code in ("already-wrong", "truth-unknown") for warning in found.settled.warnings):
             continue
         yield mesh, label
         count -= 1

@@ -59,7 +59,9 @@ def _measure(library: Library, mesh: str, label: str, repeats: int) -> dict[str,
     spec = parse({"scene": {"objects": [{"mesh": mesh}]}, "goal": {"leave": label}, "attack": attack, "seed": SEED})
     ready = prepare(spec, library)
     renderer = ready.renderer
-    problem = AttackProblem.of(renderer, ready.target, ready.goal, spec.attack.groups, seed=SEED, distance_weight=0.001)
+    problem = AttackProblem.of(
+        renderer, ready.target, ready.settled.goal, spec.attack.groups, seed=SEED, distance_weight=0.001
+    )
     state = spec.attack.init(problem)
     evaluation = evaluate(problem, state["delta"], 0)
     sides = both_sides(renderer.initial(), spec.attack.groups)

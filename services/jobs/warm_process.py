@@ -38,7 +38,7 @@ def answer(message: dict[str, Any], library: Library, store: ArtifactStore) -> d
     try:
         if "check" in message:
             found = prepare(JobSpec.model_validate(message["check"]), library)
-            said = [one.model_dump(mode="json") for one in found.warnings]
+            said = [one.model_dump(mode="json") for one in found.settled.warnings]
             return {"spec": found.spec.model_dump(mode="json"), "warnings": said}
         if "preview" in message:
             shown, image = preview(JobSpec.model_validate(message["preview"]), library)

@@ -55,7 +55,7 @@ class Subject:
 def analyse(subject: Subject, request: AnalysisRequest, library: Library, report: Report) -> Analyses:
     """Makes the analyses. Raises JobFailure, and what `report` raises, which may be Cancelled."""
     prepared, perturbation = subject.prepared, subject.perturbation
-    verifier, goal = prepared.verifier, prepared.goal
+    verifier, goal = prepared.verifier, prepared.settled.goal
     found = Analyses()
     if request.coordinates is not None:
         found.coordinates = of_coordinates(
@@ -153,14 +153,14 @@ def _to_renderer(subject: Subject, name: str, library: Library) -> Transferred:
 def _wanted(prepared: Prepared, target: str, labels: tuple[str, ...]) -> Wanted:
     """The job's truth and label to reach for another network: by name, or else by what its own table says is right."""
     card, own = registry.card(target), prepared.target.labels
-    names = [own[index] for index in prepared.truth]
+    names = [own[index] for index in prepared.settled.truth]
     meshes = [thing.mesh for thing in prepared.spec.scene.objects]
-    reach = prepared.goal.reach
+    reach = prepared.settled.goal.reach
     return Wanted(
         truth=goals.for_another(names, registry.card(prepared.target.name), meshes, card, labels),
         reach=labels.index(own[reach]) if reach is not None and own[reach] in labels else None,
         same=tuple(indices(group, labels) for group in same_labels(card)),
-        least_confidence=prepared.goal.least_confidence,
+        least_confidence=prepared.settled.goal.least_confidence,
     )
 
 
@@ -183,7 +183,7 @@ def analyse_stored(directory: Path, request: AnalysisRequest, library: Library, 
     _check_perturbation(stored.perturbation, spec, prepared.renderer.initial())
     perturbation = {group: stored.perturbation[group] for group in spec.attack.groups}  # in the order of tables
     ends = scored(verifier, {}), scored(verifier, perturbation)
-    rows = subsets(verifier, prepared.goal, perturbation, *ends)
+    rows = subsets(verifier, prepared.settled.goal, perturbation, *ends)
     found = analyse(Subject(prepared, perturbation, *ends), request, library, report)
     return StoredAnalysis(subsets=rows, attribution=of_subsets(rows), analyses=found)
 

@@ -55,13 +55,13 @@ def first_answer(view: View, library: Library) -> FirstAnswer:
         prepared = prepare_exactly(view.probe, library)
     except (InvalidRequest, JobFailure) as error:
         return FirstAnswer(view=view.number, refused=str(error))
-    index = int(prepared.logits.argmax())
-    label, confidence = prepared.target.labels[index], float(probability(prepared.logits, index))
+    index = int(prepared.original.logits.argmax())
+    label, confidence = prepared.target.labels[index], float(probability(prepared.original.logits, index))
     return FirstAnswer(
         view=view.number,
         label=label,
         confidence=confidence,
-        truth=[prepared.target.labels[index] for index in prepared.truth],
+        truth=[prepared.target.labels[index] for index in prepared.settled.truth],
         programs=[question.program for question in prepared.task.stated()],
         spec=prepared.spec,
         identity=identity(provenance(prepared), label, confidence),

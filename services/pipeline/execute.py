@@ -19,7 +19,7 @@ from services.analysis.expectation import held_over
 from services.analysis.images import answer, beyond, of_float_images, of_groups, of_images
 from services.analysis.physical import changes_in_words
 from services.analysis.records import Answer
-from services.analysis.subsets import ScoredImage, subsets
+from services.analysis.subsets import scored, subsets
 from services.attacks.leave_out import LeftOut, leave_out
 from services.attacks.limits import at_epsilon
 from services.attacks.outcome import TraceRow
@@ -34,7 +34,6 @@ from services.pipeline.result import BEST_SO_FAR, RESULT, AtEpsilon, JobWarning,
 from services.pipeline.spec import JobSpec
 from services.pipeline.stored import save_change
 from services.process import versions
-from services.rendering.color import to_bytes
 from services.rendering.physical_change import Change
 from services.rendering.plan import Plan
 from services.scenes.library import Library
@@ -90,7 +89,7 @@ def execute(
     progress(Progress(phase="loading", steps=steps))
     interrupt()
     prepared = prepare(spec, library)
-    checked(prepared.spec, prepared.warnings)
+    checked(prepared.spec, prepared.settled.warnings)
     problem = _problem(prepared, interrupt)
     problem, left_out = leave_out(problem, spec.attack.leave_out, partial(report, "loading", "leave_out"))
 
@@ -116,7 +115,7 @@ def _problem(prepared: Prepared, interrupt: Callable[[], None]) -> AttackProblem
     return AttackProblem.of(
         prepared.renderer,
         prepared.target,
-        prepared.goal,
+        prepared.settled.goal,
         attack.groups,
         bounds=attack.bounds,
         epsilon=attack.epsilon,
@@ -144,51 +143,50 @@ def _write(
     left_out: LeftOut | None,
 ) -> Result:
     out.mkdir(parents=True, exist_ok=True)
-    verifier, goal, labels, original = prepared.verifier, prepared.goal, prepared.target.labels, prepared.original
+    verifier, settled, original = prepared.verifier, prepared.settled, prepared.original
+    goal, labels = settled.goal, prepared.target.labels
     cost = replace(run.problem.counts)  # before the looks that belong to the report and not to the attack
     assert run.best is not None
     stored = run.stored
-    exact = verifier.render(stored)
-    attacked = to_bytes(exact).cpu()
-    logits = verifier.logits(attacked)
-    first, met = int(prepared.logits.argmax()), bool(goal.fooled(logits))
+    attacked = scored(verifier, stored)
+    first = int(original.logits.argmax())
     limit = prepared.spec.attack.truncation
-    ends = ScoredImage(prepared.exact, original, prepared.logits), ScoredImage(exact, attacked, logits)
+    ends = original, attacked
     rows = subsets(verifier, goal, stored, *ends, lambda row, image: images.save_png(image, out / subset_image(row)))
     analyses = analyse(Subject(prepared, stored, *ends), prepared.spec.analysis, library, report)
     asked = prepared.spec.attack.expectation
     held = None
     if asked is not None:
-        right = prepared.truth or goal.leave or (first,)
+        right = settled.truth or goal.leave or (first,)
         tick = partial(report, "expectation")
         held = held_over(verifier, goal, right, stored, asked, seed=prepared.spec.seed, tick=tick)
-    outcome, questions = prepared.task.judge(prepared.settled, prepared.renderer.name, stored, *ends, out)
+    outcome, questions = prepared.task.judge(settled, prepared.renderer.name, stored, *ends, out)
     result = Result(
         spec=prepared.spec.model_dump(mode="json"),
         outcome=outcome,
-        truth=[labels[i] for i in prepared.truth],
-        right_before=first in prepared.truth if prepared.truth else None,
+        truth=[labels[i] for i in settled.truth],
+        right_before=first in settled.truth if settled.truth else None,
         fooled=run.fooled,
-        verified=met,
+        verified=bool(goal.fooled(attacked.logits)),
         stopped=run.stopped,
         leave=labels[first] if first in goal.leave else None,
         labels_to_leave=[labels[i] for i in goal.leave],
         reach=None if goal.reach is None else labels[goal.reach],
-        warnings=list(prepared.warnings),
-        original=answer(prepared.logits, labels, goal),
-        attacked=answer(logits, labels, goal),
+        warnings=list(settled.warnings),
+        original=answer(original.logits, labels, goal),
+        attacked=answer(attacked.logits, labels, goal),
         in_loop=answer(run.best.scores, labels, goal),
-        float_perceptibility=of_float_images(prepared.exact, exact),
-        perceptibility=of_images(original, attacked),
+        float_perceptibility=of_float_images(original.exact, attacked.exact),
+        perceptibility=of_images(original.saved, attacked.saved),
         group_perceptibility=of_groups(prepared.renderer.name, stored),
         at_epsilon={
             group: AtEpsilon(coordinates=int(values.sum()), share=float(values.double().mean()))
             for group, values in at_epsilon(stored, run.problem.limits.epsilon).items()
         },
-        beyond_truncation=None if limit is None else beyond(original, attacked, limit),
+        beyond_truncation=None if limit is None else beyond(original.saved, attacked.saved, limit),
         expectation=held,
         plan=_plan(prepared, left_out),
-        image_error=_image_error(run, exact),
+        image_error=_image_error(run, attacked.exact),
         sampled_error=run.sampled_error,
         environment_map_error=prepared.renderer.plan.environment_map_error,
         subsets=rows,
@@ -207,7 +205,7 @@ def _write(
         trace=run.trace,
         provenance=provenance(prepared),
     )
-    save_change(prepared, stored, attacked, out)
+    save_change(prepared, stored, attacked.saved, out)
     trace = ",\n".join(row.model_dump_json() for row in run.trace)
     (out / "trace.json").write_text(f"[{trace}]\n", "utf-8")
     (out / RESULT).write_text(result.model_dump_json(indent=1) + "\n", "utf-8")
@@ -287,22 +285,20 @@ def best_so_far(spec: JobSpec, path: Path, out: Path, library: Library) -> BestS
     if found is None:
         return None
     prepared = prepare_exactly(spec, library)
-    verifier, goal, labels = prepared.verifier, prepared.goal, prepared.target.labels
+    original, goal, labels = prepared.original, prepared.settled.goal, prepared.target.labels
     stored = {group: found.stored[group] for group in prepared.spec.attack.groups}
-    exact = verifier.render(stored)
-    attacked = to_bytes(exact).cpu()
-    logits = verifier.logits(attacked)
+    attacked = scored(prepared.verifier, stored)
     best = BestSoFar(
         step=found.stored_step,
         steps=found.step,
         queries=found.queries,
-        verified=bool(goal.fooled(logits)),
-        original=answer(prepared.logits, labels, goal),
-        attacked=answer(logits, labels, goal),
-        float_perceptibility=of_float_images(prepared.exact, exact),
-        perceptibility=of_images(prepared.original, attacked),
+        verified=bool(goal.fooled(attacked.logits)),
+        original=answer(original.logits, labels, goal),
+        attacked=answer(attacked.logits, labels, goal),
+        float_perceptibility=of_float_images(original.exact, attacked.exact),
+        perceptibility=of_images(original.saved, attacked.saved),
         changes=changes_in_words(prepared.scene, prepared.renderer, stored),
     )
-    save_change(prepared, stored, attacked, out)
+    save_change(prepared, stored, attacked.saved, out)
     (out / BEST_SO_FAR).write_text(best.model_dump_json(indent=1) + "\n", "utf-8")
     return best

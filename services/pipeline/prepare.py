@@ -13,6 +13,7 @@ from weakref import ref
 import torch
 from torch import Tensor
 
+from services.analysis.subsets import ScoredImage
 from services.attacks.attack import ATTACKS, Attack
 from services.attacks.goal import ResolvedGoal, check_loss
 from services.attacks.limits import box
@@ -25,7 +26,6 @@ from services.pipeline.described import can_carry
 from services.pipeline.goals import PlannedConstraint, Settled, Task
 from services.pipeline.preview_record import JobPlan
 from services.pipeline.questions import task_of
-from services.pipeline.result import JobWarning
 from services.pipeline.spec import JobSpec, asked_goal
 from services.rendering.color import to_bytes
 from services.rendering.declaration import RENDERERS
@@ -55,23 +55,15 @@ class Prepared:
     scene: ResolvedScene
     renderer: Renderer
     target: Target
-    goal: ResolvedGoal
     surrogate: Surrogate | None
     """The network whose gradients guide the attack, if the request names one."""
-    truth: tuple[int, ...]
-    """The labels that are right; empty if nobody knows them."""
-    warnings: tuple[JobWarning, ...]
     verifier: Verifier
-    original: Tensor
-    """The exact image of the scene rounded to 8 bits, uint8 [H, W, 3]."""
-    logits: Tensor
-    """The network's scores of the original image, [K]."""
-    exact: Tensor
-    """The exact image of the scene before it is rounded, [H, W, 3] in [0,1]."""
+    original: ScoredImage
+    """The image of the scene, and the network's scores of it."""
     task: Task
     """What the network is asked, and how its answers are judged."""
     settled: Settled
-    """The goal and the truth, which are also fields of this object."""
+    """The goal, the right labels, and the warnings."""
     constraint: PlannedConstraint | None
     """The limits of the search beside those of the request."""
 
@@ -142,7 +134,6 @@ def _prepare(spec: JobSpec, library: Library, tolerance: Tolerance) -> Prepared:
     network = registry.load(spec.target.name)
     task = task_of(spec, network)
     target = task.target
-    spec = spec.model_copy(update={"goal": task.goal})
     renderer = _renderer(spec, scene, tolerance)
     if spec.attack.expectation is not None:
         check_range(spec.attack.expectation, renderer)
@@ -155,23 +146,18 @@ def _prepare(spec: JobSpec, library: Library, tolerance: Tolerance) -> Prepared:
     box(attacked, renderer.bounds(), spec.attack.bounds, spec.attack.epsilon)
     verifier = Verifier(renderer, target)
     exact = _exact_image(spec, scene, verifier)
-    original = to_bytes(exact).cpu()
-    logits = _scores(spec, scene, network, verifier, original)
-    settled = task.settle(original, logits)
+    saved = to_bytes(exact).cpu()
+    original = ScoredImage(exact, saved, _scores(spec, scene, network, verifier, saved))
+    settled = task.settle(original.saved, original.logits)
     check_loss(spec.attack.objective, settled.goal, len(target.labels))
     return Prepared(
         spec=spec.model_copy(update={"goal": settled.spec}),
         scene=scene,
         renderer=renderer,
         target=target,
-        goal=settled.goal,
         surrogate=surrogate(spec, target.labels, settled),
-        truth=settled.truth,
-        warnings=settled.warnings,
         verifier=verifier,
         original=original,
-        logits=logits,
-        exact=exact,
         task=task,
         settled=settled,
         constraint=task.constraint(renderer.name, attacked),

@@ -19,8 +19,8 @@ def preview(spec: JobSpec, library: Library) -> tuple[Preview, Tensor]:
     """
     found = prepare_exactly(spec, library)
     load_targets(spec)
-    answers = found.task.first_answers(found.original, found.logits, found.goal)
-    return Preview(spec=found.spec, answers=answers, warnings=found.warnings), found.original
+    answers = found.task.first_answers(found.original.saved, found.original.logits, found.settled.goal)
+    return Preview(spec=found.spec, answers=answers, warnings=found.settled.warnings), found.original.saved
 
 
 def planned_cost(spec: JobSpec, library: Library) -> PlannedCost:
@@ -32,7 +32,7 @@ def planned_cost(spec: JobSpec, library: Library) -> PlannedCost:
     renderer, verifier = found.renderer, found.verifier
     start = {group: value[None] for group, value in renderer.initial().items() if group in renderer.plan.groups}
     image = _seconds(lambda: renderer.render(start))
-    query = _seconds(lambda: verifier.logits(found.original))
+    query = _seconds(lambda: verifier.logits(found.original.saved))
     attack = found.spec.attack
     cost = Cost(
         steps=attack.steps,

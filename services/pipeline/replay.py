@@ -60,9 +60,9 @@ def replay(directory: Path, library: Library, limits: Settings = DEFAULTS) -> Re
     logits = prepared.verifier.logits(image)
     return Replay(
         stored=result.attacked,
-        replayed=answer(logits, prepared.target.labels, prepared.goal),
+        replayed=answer(logits, prepared.target.labels, prepared.settled.goal),
         pixels_differing=int((image != stored).any(dim=-1).sum()),
-        fooled=bool(prepared.goal.fooled(logits)),
+        fooled=bool(prepared.settled.goal.fooled(logits)),
         same_backend=result.provenance.backend == prepared.backend,
     )
 

@@ -27,9 +27,9 @@ IMAGE = "attacked.png"
 
 def save_change(prepared: Prepared, stored: Parameters, attacked: Tensor, out: Path) -> None:
     """Writes the files into the directory `out`. attacked: the exact image of `stored`, uint8 [H, W, 3]."""
-    images.save_png(prepared.original, out / "original.png")
+    images.save_png(prepared.original.saved, out / "original.png")
     images.save_png(attacked, out / IMAGE)
-    images.save_png(images.magnified(prepared.original, attacked), out / "perturbation.png")
+    images.save_png(images.magnified(prepared.original.saved, attacked), out / "perturbation.png")
     for name, image in change_images(prepared.renderer, stored).items():
         images.save_png(image, out / name)
     save_perturbation(stored, prepared.renderer, out / PERTURBATION)

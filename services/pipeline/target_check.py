@@ -56,12 +56,12 @@ def check(name: str, mesh: str, library: Library, report: Callable[[str], None] 
     asked = {"target": {"name": name, "question": question}, "attack": {"renderer": "pyrender"}}
     prepared = prepare(parse(scene | asked), library)
     target = prepared.target
-    probabilities = torch.softmax(prepared.logits.double(), dim=-1)
+    probabilities = torch.softmax(prepared.original.logits.double(), dim=-1)
     best = probabilities.topk(min(_TOP, len(target.labels)))
     report("looking for a gradient")
     gradient = registry.has_gradient(name)
     seconds = {}
-    image = from_bytes(prepared.original)[None]
+    image = from_bytes(prepared.original.saved)[None]
     for count in BATCHES:
         report(f"timing batches of {count}")
         seconds[count] = _seconds(target, image.expand(count, -1, -1, -1)) / count

@@ -29,9 +29,9 @@ def test_it_shows_what_a_job_begins_with_and_queues_nothing(client: Client, serv
     found = answer.json()
     job = prepare(spec(), LIBRARY)
     with Image.open(BytesIO(base64.b64decode(found["png"]))) as image:
-        assert torch.equal(pixels(image), job.original)
+        assert torch.equal(pixels(image), job.original.saved)
     [first] = found["answers"]
-    assert first["answer"]["label"] == job.target.labels[int(job.logits.argmax())]
+    assert first["answer"]["label"] == job.target.labels[int(job.original.logits.argmax())]
     assert len(first["answer"]["top"]) == 5
     assert found["spec"]["seed"] == 5
     assert (found["plan"], found["cost"]) == (None, None)

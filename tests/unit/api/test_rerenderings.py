@@ -30,7 +30,7 @@ pytestmark = pytest.mark.slow
 @pytest.fixture(scope="module")
 def noisy() -> torch.Tensor:
     """The sphere's image with noise that no parameters explain."""
-    original = prepare(spec({"renderer": "torch"}), LIBRARY).original
+    original = prepare(spec({"renderer": "torch"}), LIBRARY).original.saved
     noise = torch.randint(-6, 7, original.shape, generator=torch.Generator().manual_seed(0))
     return (original.int() + noise).clamp(0, 255).to(torch.uint8)
 

@@ -41,7 +41,7 @@ def test_analyse_prints_what_was_asked_for_and_keeps_it(tmp_path: Path) -> None:
 
 
 def test_rerender_answers_for_an_image_and_writes_the_rendering(tmp_path: Path) -> None:
-    save_png(prepare(spec({"renderer": "torch"}), LIBRARY).original, tmp_path / "image.png")
+    save_png(prepare(spec({"renderer": "torch"}), LIBRARY).original.saved, tmp_path / "image.png")
     (tmp_path / "spec.json").write_text(json.dumps({"scene": SPHERE}))
     arguments = ["rerender", str(tmp_path / "image.png"), str(tmp_path / "spec.json"), "--steps", "1"]
     done = cli(*arguments, "--out", str(tmp_path / "again.png"), "--json")

@@ -45,7 +45,7 @@ def asked() -> list[QuestionRecord]:
 def scores() -> torch.Tensor:
     """The scores [n, 28] of the seeded network for the questions of GRID."""
     with answering(IepTarget(NAME, Checkpoint(network(), generator()), "0" * 64)):
-        return torch.stack([prepare_exactly(view.probe, LIBRARY).logits for view in views(parse(GRIDS))])
+        return torch.stack([prepare_exactly(view.probe, LIBRARY).original.logits for view in views(parse(GRIDS))])
 
 
 def commonest() -> str:

@@ -196,7 +196,7 @@ def test_the_defence_of_an_image_of_another_size_is_refused() -> None:
 
 def test_the_scenes_own_image_is_its_own_rendering() -> None:
     """Nothing to explain: the fit starts at a distance of rounding, and ends at the same label and image."""
-    original = prepare(spec({"renderer": "torch"}), LIBRARY).original
+    original = prepare(spec({"renderer": "torch"}), LIBRARY).original.saved
     found, rendered = rerender_image(original, spec(), RerenderingRequest(steps=2), LIBRARY, lambda *_: None)
     assert found.losses[0] < 0.5 / 255
     assert found.before.label == found.after.label

@@ -34,7 +34,7 @@ def test_it_has_the_questions_and_what_the_search_leaves_out() -> None:
     with registry.registered(INFO, target()):
         with pytest.raises(InvalidRequest, match="gets it wrong before the attack"):
             plan(asking(COUNT.written(), WORDS), LIBRARY)
-        scores = prepare_exactly(asking_one(COUNT.written()), LIBRARY).logits
+        scores = prepare_exactly(asking_one(COUNT.written()), LIBRARY).original.logits
     with registry.registered(INFO, favouring("4", scores[None])):
         found = plan(asking(COUNT.written(), WORDS), LIBRARY)
         with pytest.raises(InvalidRequest, match="there are 4"):

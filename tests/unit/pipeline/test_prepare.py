@@ -100,20 +100,20 @@ def test_a_scene_it_gets_wrong_says_what_the_network_says() -> None:
 
 def test_the_first_answer_is_the_label_to_leave_by_default() -> None:
     prepared = prepare(spec(), LIBRARY)
-    first = int(prepared.logits.argmax())
-    assert prepared.goal.leave == (first,)
+    first = int(prepared.original.logits.argmax())
+    assert prepared.settled.goal.leave == (first,)
     assert prepared.spec.goal.leave == prepared.target.labels[first]
-    assert prepared.truth == prepared.spec.goal.truth == ()
+    assert prepared.settled.truth == prepared.spec.goal.truth == ()
     # saying it outright, by name or index, is the same request, but for the truth that it states
     for label in (first, prepared.target.labels[first]):
         stated = prepare(spec(goal={"leave": label}), LIBRARY)
-        assert (stated.goal, stated.truth) == (prepared.goal, (first,))
+        assert (stated.settled.goal, stated.settled.truth) == (prepared.settled.goal, (first,))
         assert stated.spec.goal.leave == prepared.spec.goal.leave
 
 
 def test_a_scene_that_is_wrong_by_its_truth_is_attacked_with_a_warning() -> None:
     found = prepare(spec(goal={"truth": "grand piano"}), LIBRARY)
-    assert "already-wrong" in [warning.code for warning in found.warnings]
+    assert "already-wrong" in [warning.code for warning in found.settled.warnings]
     assert found.spec.goal.truth == ("grand piano",)
     assert found.spec.goal.leave not in (None, "grand piano")
 
@@ -123,7 +123,7 @@ def test_the_truth_of_a_library_mesh_is_filled_in() -> None:
     found = prepare(parse({"scene": scene}), LIBRARY)
     assert found.spec.goal.truth == ("soccer ball",)
     assert found.spec.goal.leave == "soccer ball"
-    assert found.warnings == ()
+    assert found.settled.warnings == ()
 
 
 def test_a_goal_already_reached_is_refused() -> None:

@@ -19,13 +19,13 @@ def test_it_shows_the_image_and_answers_that_a_job_begins_with(renderer: str) ->
     request = spec({"renderer": renderer})
     shown, image = preview(request, LIBRARY)
     job = prepare(request, LIBRARY)
-    assert torch.equal(image, job.original)
+    assert torch.equal(image, job.original.saved)
     [first] = shown.answers
     assert len(first.answer.top) == 5
     for label, value in first.answer.top:
-        assert value == pytest.approx(float(probability(job.logits, job.target.labels.index(label))))
-    assert first.answer.top[0][0] == first.answer.label == job.target.labels[int(job.logits.argmax())]
-    assert (shown.spec, shown.warnings) == (job.spec, job.warnings)
+        assert value == pytest.approx(float(probability(job.original.logits, job.target.labels.index(label))))
+    assert first.answer.top[0][0] == first.answer.label == job.target.labels[int(job.original.logits.argmax())]
+    assert (shown.spec, shown.warnings) == (job.spec, job.settled.warnings)
 
 
 @pytest.mark.parametrize("renderer", [TorchRenderer, PyrenderRenderer])

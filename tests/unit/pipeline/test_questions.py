@@ -65,7 +65,7 @@ def right(lines: list[str]) -> str:
 
 def right_of(said: str, *asked: Any) -> IepTarget:
     """The seeded network, which answers so to questions about the original."""
-    return favouring(said, torch.stack([prepare_exactly(parse(asking(one)), LIBRARY).logits for one in asked]))
+    return favouring(said, torch.stack([prepare_exactly(parse(asking(one)), LIBRARY).original.logits for one in asked]))
 
 
 LARGE = ["scene", "filter_size 0 large", "count 1"]
@@ -238,5 +238,5 @@ def test_words_are_asked_as_their_program() -> None:
             continue
         prepared = prepare_exactly(parse(asking(words)), LIBRARY)
         assert [question.program for question in prepared.task.stated()] == [known.written()]
-        assert prepared.truth == (ANSWERS.index(expected),)
-        assert network_answer(prepared.logits, ANSWERS, prepared.goal).label in ANSWERS
+        assert prepared.settled.truth == (ANSWERS.index(expected),)
+        assert network_answer(prepared.original.logits, ANSWERS, prepared.settled.goal).label in ANSWERS

@@ -164,7 +164,7 @@ def _asked(target: Classifier, times: int = 2) -> int:
         for _ in range(times):
             found = prepare(spec(PIXELS, target={"name": "linear"}), LIBRARY)
             assert (found.verifier.counts.queries, found.verifier.counts.renders) == (1, 1)
-            assert torch.equal(found.logits, logits(from_bytes(found.original)[None])[0])
+            assert torch.equal(found.original.logits, logits(from_bytes(found.original.saved)[None])[0])
     return looked
 
 

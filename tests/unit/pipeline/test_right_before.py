@@ -31,7 +31,7 @@ REQUESTS: dict[str, dict[str, Any]] = {name: one for name, one in EXAMPLES.items
 @pytest.mark.parametrize("name", REQUESTS)
 def test_a_job_of_the_demonstration_or_an_example_is_right_before(name: str) -> None:
     found = prepare(parse(REQUESTS[name]), Library(Settings().cache_dir, Settings().data_dir))
-    assert [warning.text for warning in found.warnings if warning.code in CHECKED] == []
+    assert [warning.text for warning in found.settled.warnings if warning.code in CHECKED] == []
     asked = REQUESTS[name].get("goal", {}).get("leave")
     assert asked is None or asked in (found.spec.goal.truth or ())
 
