@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Self
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
-from services.analysis.requests import RerenderingRequest
+from services.analysis.records import RerenderingRequest
 from services.errors import without_folders
 from services.jobs.placement import Priority
 from services.jobs.states import CampaignState, JobKind, State, times_of

@@ -17,7 +17,7 @@ from api.schemas import (
     ViewList,
 )
 from api.state import Services, ServicesDependency, no_such
-from services.analysis.campaign_text import cases_to_csv, to_csv, to_latex
+from services.analysis.campaign_table import cases_to_csv, to_csv, to_latex
 from services.jobs.campaigns import request_digest
 from services.jobs.jobs import Key
 from services.jobs.models import Campaign, CampaignState

@@ -80,7 +80,7 @@ def _analyse(directory: Path, request: dict[str, Any], settings: "Settings") -> 
     with JobLine(str(directory)) as line:
         line.update("loading", 0, 1, None)
         assets = library(settings)
-        from services.analysis.requests import AnalysisRequest
+        from services.analysis.records import AnalysisRequest
         from services.pipeline.analyse import analyse_stored
 
         return analyse_stored(
@@ -111,7 +111,7 @@ def rerender(
     from client.settings import settings_to_run
     from client.specs import read_job
     from client.tables import rerendering_table
-    from services.analysis.requests import RerenderingRequest
+    from services.analysis.records import RerenderingRequest
     from services.errors import InvalidFields, InvalidRequest
     from services.pipeline.field_errors import in_words
 

@@ -15,8 +15,7 @@ import torch
 from torch import Tensor
 
 from services.analysis.images import answer, goal_log_odds
-from services.analysis.records import Attribution, Shares, Subset
-from services.analysis.requests import By
+from services.analysis.records import Attribution, By, Shares, Subset
 from services.analysis.subsets import ScoredImage
 from services.attacks.goal import ResolvedGoal
 from services.attacks.problem import generator

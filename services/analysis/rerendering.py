@@ -23,8 +23,7 @@ from torch import Tensor
 
 from services.analysis.attribution import Tick
 from services.analysis.images import of_images
-from services.analysis.records import AdaptiveAttack, Explanation, Interpretation, Rerendering, Said
-from services.analysis.requests import RerenderingRequest
+from services.analysis.records import AdaptiveAttack, Explanation, Interpretation, Rerendering, RerenderingRequest, Said
 from services.attacks.goal import ResolvedGoal
 from services.attacks.problem import check_graph
 from services.attacks.run import Verifier

@@ -14,8 +14,15 @@ from torch import Tensor
 from services.analysis.attribution import Tick, of_coordinates, of_subsets
 from services.analysis.minimal import minimal_change
 from services.analysis.physical import physical_changes
-from services.analysis.records import Analyses, Attribution, Rerendering, Subset, Transferred
-from services.analysis.requests import AnalysisRequest, RerenderingRequest
+from services.analysis.records import (
+    Analyses,
+    AnalysisRequest,
+    Attribution,
+    Rerendering,
+    RerenderingRequest,
+    Subset,
+    Transferred,
+)
 from services.analysis.rerendering import attack_through, interpret, rerender
 from services.analysis.subsets import ScoredImage, scored, subsets
 from services.analysis.transfer import Wanted, indices, shown_to

@@ -22,8 +22,7 @@ from typing import Any, Protocol, Self
 from pydantic import BaseModel, ConfigDict, Field
 
 from services import disk
-from services.analysis.campaign_table import Case, Curves, MeanCurves, Table
-from services.analysis.campaign_text import to_csv, to_latex
+from services.analysis.campaign_table import Case, Curves, MeanCurves, Table, to_csv, to_latex
 from services.attacks.attack import Attack
 from services.pipeline.campaign_spec import CampaignSpec, Grid, Member, Selection
 from services.pipeline.names import attack_name, scene_name

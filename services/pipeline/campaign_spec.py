@@ -23,7 +23,7 @@ from pydantic import (
     model_validator,
 )
 
-from services.analysis.requests import AnalysisRequest
+from services.analysis.records import AnalysisRequest
 from services.attacks.attack import Attack
 from services.attacks.request import Goal, Seed
 from services.errors import InvalidFields, InvalidRequest

@@ -7,8 +7,7 @@ from pathlib import Path
 from pydantic import BaseModel
 
 from services.analysis.images import answer
-from services.analysis.records import Answer
-from services.analysis.requests import AnalysisRequest
+from services.analysis.records import AnalysisRequest, Answer
 from services.errors import InvalidRequest
 from services.pipeline.exported_targets import register_exported
 from services.pipeline.prepare import prepare

@@ -28,8 +28,7 @@ from pydantic import (
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
 
-from services.analysis.records import Rerendering
-from services.analysis.requests import AnalysisRequest, RerenderingRequest
+from services.analysis.records import AnalysisRequest, Rerendering, RerenderingRequest
 from services.attacks.attack import ATTACKS, Attack
 from services.attacks.request import Goal, Label, Labels, Seed
 from services.errors import InvalidFields, InvalidRequest

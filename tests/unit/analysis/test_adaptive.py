@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from services.analysis.requests import RerenderingRequest
+from services.analysis.records import RerenderingRequest
 from services.analysis.rerendering import LIMIT, attack_through
 from services.attacks.goal import ResolvedGoal
 from services.attacks.run import Verifier

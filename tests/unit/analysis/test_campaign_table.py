@@ -20,9 +20,11 @@ from services.analysis.campaign_table import (
     mean_curves,
     share_at,
     table,
+    tex,
     time_left,
+    to_csv,
+    to_latex,
 )
-from services.analysis.campaign_text import tex, to_csv, to_latex
 
 
 def case(attack: str = "a", target: str = "t", **changed: Any) -> Case:

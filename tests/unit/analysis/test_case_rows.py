@@ -6,8 +6,7 @@ from typing import Any
 
 import pytest
 
-from services.analysis.campaign_table import CASE_FIELDS, Case, CaseRow, best, grid, worst
-from services.analysis.campaign_text import cases_to_csv
+from services.analysis.campaign_table import CASE_FIELDS, Case, CaseRow, best, cases_to_csv, grid, worst
 
 
 def row(number: int, scene: str = "chair", azimuth: str = "0°", **changed: Any) -> CaseRow:

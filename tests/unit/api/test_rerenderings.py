@@ -15,8 +15,7 @@ from PIL import Image
 
 from api.state import Services
 from services.analysis.images import pixels, png, save_png
-from services.analysis.records import Rerendering
-from services.analysis.requests import RerenderingRequest
+from services.analysis.records import Rerendering, RerenderingRequest
 from services.jobs.models import Artifact
 from services.pipeline.analyse import decode_image, rerender_image
 from services.pipeline.prepare import prepare

@@ -8,8 +8,7 @@ import torch
 from safetensors.torch import load_file, save_file
 
 from services.analysis.images import save_png
-from services.analysis.records import Rerendering
-from services.analysis.requests import AnalysisRequest
+from services.analysis.records import AnalysisRequest, Rerendering
 from services.errors import InvalidRequest
 from services.pipeline.analyse import StoredAnalysis, analyse_stored
 from services.pipeline.execute import execute

@@ -7,7 +7,7 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from services.analysis.requests import AnalysisRequest, RerenderingRequest
+from services.analysis.records import AnalysisRequest, RerenderingRequest
 from services.errors import Cancelled, InvalidRequest
 from services.pipeline.analyse import analyse_stored, rerender_image
 from services.pipeline.execute import Progress, execute
