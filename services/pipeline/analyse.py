@@ -187,21 +187,12 @@ def analyse_stored(directory: Path, request: AnalysisRequest, library: Library, 
     spec = parse(stored.result.spec | {"analysis": request.model_dump(mode="json")})
     prepared = prepare(spec, library)
     verifier = prepared.verifier
-    _check_perturbation(stored.perturbation, spec, prepared.renderer.initial())
+    stored.check(prepared.renderer.initial(), spec.attack.groups)
     perturbation = {group: stored.perturbation[group] for group in spec.attack.groups}  # in the order of tables
-    ends = scored(verifier, {}), scored(verifier, perturbation)
+    ends = prepared.original, scored(verifier, perturbation)
     rows = subsets(verifier, prepared.settled.goal, perturbation, *ends)
     found = analyse(Subject(prepared, perturbation, *ends), request, library, report)
     return StoredAnalysis(subsets=rows, attribution=of_subsets(rows), analyses=found)
-
-
-def _check_perturbation(perturbation: Parameters, spec: JobSpec, initial: Parameters) -> None:
-    """Raises InvalidRequest("directory") if the perturbation is not one of the scene and the groups of the spec."""
-    wanted = {group: list(initial[group].shape) for group in spec.attack.groups}
-    found = {group: list(value.shape) for group, value in perturbation.items()}
-    if found != wanted:
-        detail = f"its perturbation has the groups and shapes {found}, which are not {wanted} of its request"
-        raise InvalidRequest("directory", detail)
 
 
 def rerender_image(

@@ -47,12 +47,7 @@ def replay(directory: Path, library: Library, limits: Settings = DEFAULTS) -> Re
     _check_weights(spec.target.name, result.provenance)
     with _assets(directory, library, limits) as assets:
         prepared = prepare(spec, assets)
-    start = prepared.renderer.initial()
-    odd = sorted(
-        group for group, value in perturbation.items() if group not in start or value.shape != start[group].shape
-    )
-    if odd:
-        raise InvalidRequest("directory", f"its perturbation does not fit its request: {', '.join(odd)}")
+    kept.check(prepared.renderer.initial(), spec.attack.groups)
     image = prepared.verifier.image(perturbation)
     if image.shape != stored.shape:
         raise InvalidRequest("directory", "its image has another size than the camera of its request")

@@ -4,6 +4,7 @@ The perturbation is a safetensors file that says what its numbers are.
 """
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -64,6 +65,14 @@ class Stored:
     result: Result
     perturbation: Parameters
     attacked: Tensor
+
+    def check(self, initial: Parameters, groups: Sequence[str]) -> None:
+        """Raises InvalidRequest("directory") unless the perturbation has these groups, with the shapes of `initial`."""
+        wanted = {group: list(initial[group].shape) for group in groups}
+        shapes = {group: list(value.shape) for group, value in self.perturbation.items()}
+        if shapes != wanted:
+            detail = f"its perturbation has the groups and shapes {shapes}, which are not {wanted} of its request"
+            raise InvalidRequest("directory", detail)
 
 
 def read_stored(directory: Path) -> Stored:
