@@ -34,6 +34,7 @@ ELSEWHERE = {
     ("targets.md", ""): "tests/unit/docs/test_targets_page.py runs its files, which need each other; the weights of "
     "IEP are the reader's",
     ("README.md", "scripts/demo"): "it sets up the project; test_demo runs the demonstration",
+    ("README.md", "import torch"): "tests/unit/docs/test_targets_page.py runs it, and reads what it found",
     ("index.md", "scene-attack serve"): LISTED,
     ("index.md", "scene-attack campaign run"): LISTED,
     ("index.md", "scene-attack accuracy"): "minutes of measurements; tests of services/accuracy run their parts",
