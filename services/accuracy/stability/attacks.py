@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from services.accuracy.placing import placed, sky
-from services.accuracy.stability.case import Case, Measured, need
+from services.accuracy.stability.case import Case, Measured, largest, need
 from services.accuracy.stability.objects import SIDE, linear_gradient, linear_problem, pixels
 from services.accuracy.stability.torch_shading import SHARP, Shading
 from services.attacks.differences import CANDIDATES, estimate, measure_noise
@@ -77,7 +77,7 @@ def _held() -> Measured:
     assert run.best is not None
     shown = evaluate(problem, run.best.delta, 0).image[0].double().numpy()
     error = np.abs(shown - (_start() - LIMIT * sign)).max()
-    worst = max(float(error), float(np.abs(run.stored["image"].double().numpy() + 0.1 * sign).max()))
+    worst = max(float(error), largest(run.stored["image"].double().numpy() + 0.1 * sign))
     return Measured(worst, FLOAT32, "error of the perturbation, −0.1 sign(w), and of the image, original ± U")
 
 
@@ -143,32 +143,29 @@ def _adam(steps: int, weight: float) -> Measured:
 
 def recurrence_cases() -> list[Case]:
     """The cases of this family."""
-    family, recurrence = "recurrences", "the recurrence, written down again"
+    recurrence = "the recurrence, written down again"
     central, beside = "w + 2 λ Δ", "a quadratic objective, away from the start"
     return [
-        Case("signs alone", family, "no momentum", recurrence, lambda: _momentum(10, 1e-3, 0.0, 0.0, False)),
-        Case("momentum", family, "10 steps of η = 1e-3", recurrence, lambda: _momentum(10, 1e-3, 0.9, 0.0, False)),
-        Case("decay", family, "a pull of 1", recurrence, lambda: _momentum(10, 1e-2, 0.5, 1.0, False)),
+        Case("signs alone", "no momentum", recurrence, lambda: _momentum(10, 1e-3, 0.0, 0.0, False)),
+        Case("momentum", "10 steps of η = 1e-3", recurrence, lambda: _momentum(10, 1e-3, 0.9, 0.0, False)),
+        Case("decay", "a pull of 1", recurrence, lambda: _momentum(10, 1e-2, 0.5, 1.0, False)),
         Case(
             "momentum against bounds",
-            family,
             "pixels at 0 and 1",
             recurrence,
             lambda: _momentum(30, 2e-2, 0.9, 0.1, True),
             "clipped",
         ),
-        Case("all beyond U", family, "no gradient left", "the first step is the last", _held, "clipped"),
-        Case(
-            "a third beyond U", family, "gradients of two of three values", "only these move", _partly_held, "clipped"
-        ),
+        Case("all beyond U", "no gradient left", "the first step is the last", _held, "clipped"),
+        Case("a third beyond U", "gradients of two of three values", "only these move", _partly_held, "clipped"),
         *(
-            Case(f"difference, λ {weight:g}, δ {delta:g}", family, beside, central, partial(_with_weight, *row))
+            Case(f"difference, λ {weight:g}, δ {delta:g}", beside, central, partial(_with_weight, *row))
             for row in ((0.1, 0.05, 3.0), (0.1, 0.01, 0.3), (0.05, 0.1, 10.0))
             for _, delta, weight in (row,)
         ),
-        Case("measured δ", family, "noise below, curvature above", "gradients right to a thousandth", _chosen_step),
-        Case("ZOO, 8 steps", family, "λ 0", recurrence, lambda: _adam(8, 0.0)),
-        Case("ZOO, 8 steps, λ 0.5", family, "λ pulls back", recurrence, lambda: _adam(8, 0.5)),
+        Case("measured δ", "noise below, curvature above", "gradients right to a thousandth", _chosen_step),
+        Case("ZOO, 8 steps", "λ 0", recurrence, lambda: _adam(8, 0.0)),
+        Case("ZOO, 8 steps, λ 0.5", "λ pulls back", recurrence, lambda: _adam(8, 0.5)),
     ]
 
 
@@ -204,7 +201,7 @@ def _giant_step(group: str) -> Measured:
     low, high = renderer.bounds()[group]
     value = renderer.initial()[group] + last[group]
     need(bool(torch.isfinite(value).all()), "a parameter is not finite")
-    need(float(last[group].abs().max()) > 1.0, "it does not move")
+    need(largest(last[group]) > 1.0, "it does not move")
     rounding = 1e-6 * (1 + value.abs())
     need(bool((value >= low - rounding).all() and (value <= high + rounding).all()), "a parameter is out of bounds")
     return shading.errors({group: value}).within(SHARP, DEFINED)
@@ -220,8 +217,8 @@ def _far_angles() -> Measured:
     value = renderer.initial()["normals"] + problem.limits.clamp(moved.flatten()).reshape(shape)
     with torch.no_grad():
         seen = renderer.render({"normals": value[None]})[0]
-    need(float((seen - problem.original[0]).abs().max()) > 0.01, "it does not move")
-    need(float(value.abs().max()) < 1000, "float32 does not tell such angles apart")
+    need(largest(seen - problem.original[0]) > 0.01, "it does not move")
+    need(largest(value) < 1000, "float32 does not tell such angles apart")
     return shading.errors({"normals": value}).within(SHARP, DEFINED)
 
 
@@ -237,7 +234,7 @@ def _giant_zoo() -> Measured:
         value = renderer.initial()[group] + change
         need(bool(torch.isfinite(value).all()), f"{group} is not finite")
         outside = max(outside, float((low - value).clamp_min(0).max()), float((value - high).clamp_min(0).max()))
-    need(max(float(v.abs().max()) for v in last.values()) > 100, "it does not move")
+    need(max(largest(v) for v in last.values()) > 100, "it does not move")
     need(all(np.isfinite(row.perceptibility) for row in run.trace), "a perceptibility is not finite")
     return Measured(outside, 1e-6, "how far any parameter is out of its bounds after 20 steps")
 
@@ -260,7 +257,7 @@ def _no_gradient() -> Measured:
     reported = [row.below_noise for row in run.trace]
     need(reported == [0] + [3] * 120, "not all three groups are reported flat at every step")
     need(run.stopped == "steps", f"it stopped for {run.stopped}")
-    moved = max(float(v.abs().max()) for v in run.stored.values())
+    moved = max(largest(v) for v in run.stored.values())
     return Measured(moved, 0.0, "largest perturbation; three of three groups reported flat, 120 times")
 
 
@@ -295,17 +292,15 @@ def _at_the_limit() -> Measured:
     need(int(held_at.sum()) == 0, f"{int(held_at.sum())} of 237 pixels at the limit are held")
     need(int(held_beyond.sum()) == 237, f"{237 - int(held_beyond.sum())} of 237 pixels beyond the limit are not held")
     need(bool((at >= original).all()), "a pixel went the wrong way")
-    return Measured(float((beyond - original - limit).abs().max()), 1e-7, "distance of a held value from the limit")
+    return Measured(largest(beyond - original - limit), 1e-7, "distance of a held value from the limit")
 
 
 def step_cases() -> list[Case]:
     """The cases of this family."""
-    family = "steps"
     return [
-        Case("η = 0, pixels", family, "no step", "nothing moves", lambda: _no_step(pixels(), "image")),
+        Case("η = 0, pixels", "no step", "nothing moves", lambda: _no_step(pixels(), "image")),
         Case(
             "η = 0, torch",
-            family,
             "no step",
             "nothing moves",
             lambda: _no_step(build(placed(size=(16, 16)), "torch"), "material"),
@@ -313,7 +308,6 @@ def step_cases() -> list[Case]:
         *(
             Case(
                 f"η = 1e3, {group}",
-                family,
                 "120 steps of 1,000 and more",
                 "in bounds, and images by the definition",
                 partial(_giant_step, group),
@@ -323,31 +317,18 @@ def step_cases() -> list[Case]:
         ),
         Case(
             "normals + 1e6",
-            family,
             "float32 has 0.06 radians left there",
             "held where it has 1e-5, and the definition's image",
             _far_angles,
             "clipped",
         ),
-        Case("η = 1e3, pyrender", family, "20 steps of 1,000", "in bounds and finite", _giant_zoo, "clipped"),
-        Case("η = 1e3, decay 1", family, "×1,000 a step", "in bounds", _giant_decay, "clipped"),
+        Case("η = 1e3, pyrender", "20 steps of 1,000", "in bounds and finite", _giant_zoo, "clipped"),
+        Case("η = 1e3, decay 1", "×1,000 a step", "in bounds", _giant_decay, "clipped"),
         Case(
-            "no gradient, 120 steps",
-            family,
-            "a black object",
-            "stays, and every step is reported flat",
-            _no_gradient,
-            "flat",
+            "no gradient, 120 steps", "a black object", "stays, and every step is reported flat", _no_gradient, "flat"
         ),
-        Case("momentum, no gradient", family, "120 steps after one push", "the closed form", _coasting),
-        Case(
-            "moved by exactly U",
-            family,
-            "a comparison of equals",
-            "18/255 is not beyond 18/255",
-            _at_the_limit,
-            "clipped",
-        ),
+        Case("momentum, no gradient", "120 steps after one push", "the closed form", _coasting),
+        Case("moved by exactly U", "a comparison of equals", "18/255 is not beyond 18/255", _at_the_limit, "clipped"),
     ]
 
 
@@ -359,9 +340,7 @@ def _too_small(renderer: Renderer, group: str) -> Measured:
     nothing = problem.layout.zeros()
     found = estimate(problem, nothing, torch.arange(count), deltas, measure_noise(problem, nothing))
     need(bool(found.below_noise.all()), f"{int((~found.below_noise).sum())} of {count} differences are not called flat")
-    return Measured(
-        float(found.gradients.abs().max()), 0.0, f"largest gradient; {count} of {count} differences reported flat"
-    )
+    return Measured(largest(found.gradients), 0.0, f"largest gradient; {count} of {count} differences reported flat")
 
 
 def _zoo_flat() -> Measured:
@@ -372,7 +351,7 @@ def _zoo_flat() -> Measured:
     reported = [row.below_noise for row in run.trace]
     need(reported == [0, 50, 50, 50], f"reported below the noise: {reported}")
     need(not any(bool(run.state[name].any()) for name in ("first", "second", "moves")), "Adam moved")
-    return Measured(float(run.stored["image"].abs().max()), 0.0, "largest perturbation; all differences reported flat")
+    return Measured(largest(run.stored["image"]), 0.0, "largest perturbation; all differences reported flat")
 
 
 def _gradients(delta: float, at: float = 0.0) -> tuple[Tensor, Tensor, Tensor, float]:
@@ -403,25 +382,17 @@ def _sweep() -> Measured:
         need(exponent > 3 or not bool(flat.all()), f"all differences of {delta:g} are flat")
         error = (gradients - wanted).abs()[~flat]
         if len(error):
-            worst = max(worst, float(error.max()) * 2 * delta / (noise + 1e-5 * 2 * delta * float(wanted.abs().max())))
+            worst = max(worst, float(error.max()) * 2 * delta / (noise + 1e-5 * 2 * delta * largest(wanted)))
     return Measured(worst, 1.0, "error of a gradient that is not flat, in units of the noise over the step")
 
 
 def difference_cases() -> list[Case]:
     """The cases of this family."""
-    family, flat = "differences", "called flat, gradient 0"
+    flat = "called flat, gradient 0"
     return [
-        Case(
-            "δ = 1e-12, pixels",
-            family,
-            "below float32's rounding",
-            flat,
-            lambda: _too_small(pixels(), "image"),
-            "flat",
-        ),
+        Case("δ = 1e-12, pixels", "below float32's rounding", flat, lambda: _too_small(pixels(), "image"), "flat"),
         Case(
             "δ = 1e-12, pyrender",
-            family,
             "float64 parameters, float32 images",
             flat,
             lambda: _too_small(build(placed(size=(16, 16)), "pyrender"), "illumination"),
@@ -429,13 +400,12 @@ def difference_cases() -> list[Case]:
         ),
         Case(
             "δ = 1e-12, torch",
-            family,
             "below float32's rounding",
             flat,
             lambda: _too_small(build(placed(size=(16, 16)), "torch"), "material"),
             "flat",
         ),
-        Case("ZOO with δ = 1e-12", family, "nothing to go by", "goes nowhere, and says so", _zoo_flat, "flat"),
-        Case("δ = 1", family, "beyond both bounds", "the gradient is right", _too_large, "clipped"),
-        Case("δ from 1e-1 to 1e-12", family, "differences drown in rounding", "right to the noise, or flat", _sweep),
+        Case("ZOO with δ = 1e-12", "nothing to go by", "goes nowhere, and says so", _zoo_flat, "flat"),
+        Case("δ = 1", "beyond both bounds", "the gradient is right", _too_large, "clipped"),
+        Case("δ from 1e-1 to 1e-12", "differences drown in rounding", "right to the noise, or flat", _sweep),
     ]

@@ -4,7 +4,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from time import perf_counter
-from typing import Literal
+from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -23,6 +23,11 @@ def need(holds: bool, otherwise: str) -> None:
         raise Broken(otherwise)
 
 
+def largest(values: Any) -> float:
+    """The largest magnitude of a tensor or an array; NaN if a value is."""
+    return float(abs(values).max())
+
+
 @dataclass(frozen=True)
 class Measured:
     """`value` must be at most `limit`; `what` says of what, and against which reference."""
@@ -36,24 +41,26 @@ class Measured:
 class Case:
     """One row of the report.
 
-    `measure` raises Broken where the property does not hold and returns the number that shows that it does. `outcome`
-    is the one it must come to: "ok"; "flat", where the method must say that it learnt nothing; "clipped", where values
-    must be held at a bound; "refused" if `refusal` is given, the field of the InvalidRequest or the kind of the
-    JobFailure that must be raised. `slow` cases are left out of the quick report.
+    `measure` raises Broken where the property does not hold and returns the number that shows that it does. `held` says
+    how it holds: "ok"; "flat", where the method must say that it learnt nothing; "clipped", where values must be held
+    at a bound. With a `refusal`, the field of the InvalidRequest or the kind of the JobFailure, one must be raised.
+    `slow` cases are left out of the quick report.
     """
 
     name: str
-    family: str
     stiff: str
     must: str
     measure: Callable[[], Measured]
-    outcome: Literal["ok", "flat", "clipped", "refused"] = "ok"
+    held: Literal["ok", "flat", "clipped"] = "ok"
     refusal: str | None = None
     slow: bool = False
+    family: str = ""
+    """Set where the families are put together (`report.cases`)."""
 
-    def __post_init__(self) -> None:
-        if (self.outcome == "refused") != (self.refusal is not None):
-            raise ValueError(f"{self.name}: a refusal names its field or kind, nothing else does")
+    @property
+    def outcome(self) -> Outcome:
+        """What it must come to."""
+        return self.held if self.refusal is None else "refused"
 
 
 class Observation(BaseModel):
@@ -114,4 +121,4 @@ def _judged(case: Case, measured: Measured) -> tuple[Outcome, str]:
         return "failed", f"not refused; {measured.what}: {measured.value:g}"
     if not measured.value <= measured.limit:  # NaN is a failure too
         return "failed", f"{measured.what}: {measured.value:g}, more than {measured.limit:g}"
-    return case.outcome, measured.what
+    return case.held, measured.what

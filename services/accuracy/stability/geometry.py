@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from services.accuracy.placing import placed, sky
-from services.accuracy.stability.case import Case, Measured, need
+from services.accuracy.stability.case import Case, Measured, largest, need
 from services.accuracy.stability.objects import box, linear_network, square
 from services.accuracy.stability.references import cast, expected
 from services.accuracy.stability.torch_shading import Shading
@@ -89,7 +89,7 @@ def _filled(mesh: str, thing: dict[str, Any], camera: dict[str, float]) -> Measu
     need(len(wanted.pixels) > 100, f"only {len(wanted.pixels)} pixels are flat")
     drawn = drawn_by(scene, "pyrender")
     shown = [one.render({})[0].reshape(-1, 3)[wanted.pixels].double().numpy() for one in drawn]
-    error = max(float(np.abs(image - wanted.shown).max()) for image in shown)
+    error = max(largest(image - wanted.shown) for image in shown)
     return Measured(error, SHOWN, "largest error of pyrender's image against its formula; G-buffer as rays have it")
 
 
@@ -110,42 +110,37 @@ def _refused(thing: dict[str, Any], camera: dict[str, Any] | None = None) -> Mea
 
 def view_cases() -> list[Case]:
     """The cases of this family."""
-    family, rays = "views", "coverage, depth, normals and colours as rays have them"
+    rays = "coverage, depth, normals and colours as rays have them"
     filled = "all covered, the surface as rays have it, pyrender's image by its formula"
     front, refused = {"azimuth": 0.0, "elevation": 0.0}, "a clear error names the object"
     floor = {"rotation": (-pi / 2, 0, 0), "translation": (0, -0.5, 0), "scale": 100.0}
     return [
         Case(
             "three pixels across",
-            family,
             "scale 0.1 in 32²",
             rays,
             lambda: against_rays(placed("primitive/cube", size=(32, 32), thing={"scale": 0.1})),
         ),
         Case(
             "filling the frame",
-            family,
             "0.03 in front of the camera",
             filled,
             lambda: _filled("primitive/cube", {"scale": 2.0, "translation": (0, 0, 1.77 - 2 * CUBE)}, front),
         ),
         Case(
             "camera inside the object",
-            family,
             "only back faces are seen",
             filled,
             lambda: _filled("primitive/cube", {"scale": 8.0, "rotation": (0.2, 0.3, 0.1)}, {}),
         ),
         Case(
             "cut by the near plane",
-            family,
             "a floor from behind the camera to far",
             rays,
             lambda: against_rays(placed("primitive/plane", camera=front, thing=floor)),
         ),
         Case(
             "cube around the near plane",
-            family,
             "a corner 1e-3 from the eye",
             rays,
             lambda: against_rays(
@@ -154,36 +149,29 @@ def view_cases() -> list[Case]:
         ),
         Case(
             "out of view",
-            family,
             "beside the frame",
             refused,
             lambda: _refused(thing={"translation": (50, 0, 0)}),
-            "refused",
-            "scene.objects.0",
+            refusal="scene.objects.0",
         ),
         Case(
             "behind the camera",
-            family,
             "w < 0",
             refused,
             lambda: _refused({"translation": (0, 0, 5)}, front),
-            "refused",
-            "scene.objects.0",
+            refusal="scene.objects.0",
         ),
         Case(
             "less than a pixel",
-            family,
             "scale 1e-3",
             refused,
             lambda: _refused(thing={"scale": 1e-3}),
-            "refused",
-            "scene.objects.0",
+            refusal="scene.objects.0",
         ),
-        Case("straight above", family, "elevation π/2", rays, lambda: _pole(pi / 2)),
-        Case("straight below", family, "elevation −π/2", rays, lambda: _pole(-pi / 2)),
+        Case("straight above", "elevation π/2", rays, lambda: _pole(pi / 2)),
+        Case("straight below", "elevation −π/2", rays, lambda: _pole(-pi / 2)),
         Case(
             "telephoto",
-            family,
             "0.02 radians from 100 away",
             rays,
             lambda: against_rays(
@@ -192,7 +180,6 @@ def view_cases() -> list[Case]:
         ),
         Case(
             "fish eye",
-            family,
             "2.8 radians from 0.8 away",
             rays,
             lambda: against_rays(placed("primitive/cube", camera={"distance": 0.9, "field_of_view": 2.8})),
@@ -262,9 +249,9 @@ def _moved_away(distance: float) -> Measured:
     renderer = build(scene, "pyrender")
     moves = torch.tensor([[[distance, 0.0, 0.0]], [[0.0, 0.0, distance]], [[0.0, -distance, 0.0]]], dtype=torch.float64)
     images = renderer.render({"translation": moves})
-    need(float((renderer.render({}) - torch.tensor(scene.description.ground)).abs().max()) > 0.01, "it was never there")
+    need(largest(renderer.render({}) - torch.tensor(scene.description.ground)) > 0.01, "it was never there")
     ground = torch.tensor(scene.description.ground, dtype=images.dtype)
-    return Measured(float((images - ground).abs().max()), 0.0, "largest difference from the ground")
+    return Measured(largest(images - ground), 0.0, "largest difference from the ground")
 
 
 def _looked_at() -> Measured:
@@ -304,26 +291,15 @@ def _looked_at() -> Measured:
 
 def pose_cases() -> list[Case]:
     """The cases of this family."""
-    family = "poses"
     return [
-        Case("silhouette of a square", family, "edges across pixels", "the square's area", _silhouette),
-        Case("turned object", family, "quarter turns, three views", "lands where it must", lambda: _turned(False)),
+        Case("silhouette of a square", "edges across pixels", "the square's area", _silhouette),
+        Case("turned object", "quarter turns, three views", "lands where it must", lambda: _turned(False)),
+        Case("object turned by an attack", "quarter turns, three views", "lands where it must", lambda: _turned(True)),
+        Case("camera moved by an attack", "to the poles, rolled over", "lands where it must", _looked_at),
         Case(
-            "object turned by an attack",
-            family,
-            "quarter turns, three views",
-            "lands where it must",
-            lambda: _turned(True),
+            "moved out of view", "a step of an attack, 1e3 away", "exactly the ground is left", lambda: _moved_away(1e3)
         ),
-        Case("camera moved by an attack", family, "to the poles, rolled over", "lands where it must", _looked_at),
-        Case(
-            "moved out of view",
-            family,
-            "a step of an attack, 1e3 away",
-            "exactly the ground is left",
-            lambda: _moved_away(1e3),
-        ),
-        Case("moved 1e15 away", family, "float32 positions", "exactly the ground is left", lambda: _moved_away(1e15)),
+        Case("moved 1e15 away", "float32 positions", "exactly the ground is left", lambda: _moved_away(1e15)),
     ]
 
 
@@ -355,7 +331,7 @@ def _flat_pixels(size: tuple[int, int]) -> Measured:
         image = one.render({})[0]
         need(image.shape == (*size, 3), f"the image is {tuple(image.shape)}")
         need(bool(torch.isfinite(image).all()), "the image has values that are not finite")
-        worst = max(worst, float(np.abs(image.reshape(-1, 3)[wanted.pixels].double().numpy() - wanted.shown).max()))
+        worst = max(worst, largest(image.reshape(-1, 3)[wanted.pixels].double().numpy() - wanted.shown))
     what = f"largest error of a displayed value, against the formula; {len(wanted.pixels)} pixels"
     return Measured(worst, SHOWN, what)
 
@@ -386,11 +362,9 @@ def _black() -> Measured:
         image = shading.renderer.render({})[0]
     for group in shading.renderer.plan.groups:
         gradient, _ = shading.gradient({}, group)
-        need(float(gradient.abs().max()) == 0, f"the gradient of {group} is not zero")
+        need(largest(gradient) == 0, f"the gradient of {group} is not zero")
     full = shading.gbuffer.coverage == 1
-    return Measured(
-        float(image[full].abs().max()), 0.0, "brightest displayed value of a covered pixel; all gradients are 0"
-    )
+    return Measured(largest(image[full]), 0.0, "brightest displayed value of a covered pixel; all gradients are 0")
 
 
 def _white() -> Measured:
@@ -403,37 +377,20 @@ def _white() -> Measured:
 
 def size_cases() -> list[Case]:
     """The cases of this family."""
-    family, same = "sizes", "the loop's image is within its tolerance, the exact image within rounding"
+    same = "the loop's image is within its tolerance, the exact image within rounding"
     attack, formula = "the attack runs, within U", "displayed values by the formula"
     return [
-        Case("1 px, torch", family, "one pixel", same, lambda: _image((1, 1))),
-        Case("1 px, pyrender", family, "one pixel", formula, lambda: _flat_pixels((1, 1))),
-        Case("1 px, attacked", family, "a network's input from one pixel", attack, lambda: _attacked((1, 1), "torch")),
+        Case("1 px, torch", "one pixel", same, lambda: _image((1, 1))),
+        Case("1 px, pyrender", "one pixel", formula, lambda: _flat_pixels((1, 1))),
+        Case("1 px, attacked", "a network's input from one pixel", attack, lambda: _attacked((1, 1), "torch")),
+        Case("1 px, its own value", "a network's input from one pixel", attack, lambda: _attacked((1, 1), "image")),
+        Case("1×300 px", "one row", same, lambda: _image((1, 300))),
+        Case("300×7 px, pyrender", "a narrow strip", formula, lambda: _flat_pixels((300, 7))),
+        Case("257² px", "one more than a tile of the rasteriser", same, lambda: _image((257, 257))),
+        Case("2048² px, torch", "4 million pixels", same, lambda: _image((2048, 2048)), slow=True),
         Case(
-            "1 px, its own value",
-            family,
-            "a network's input from one pixel",
-            attack,
-            lambda: _attacked((1, 1), "image"),
+            "2048² px, pyrender", "4 million pixels, 4 samples", formula, lambda: _flat_pixels((2048, 2048)), slow=True
         ),
-        Case("1×300 px", family, "one row", same, lambda: _image((1, 300))),
-        Case(
-            "300×7 px, pyrender",
-            family,
-            "a narrow strip",
-            formula,
-            lambda: _flat_pixels((300, 7)),
-        ),
-        Case("257² px", family, "one more than a tile of the rasteriser", same, lambda: _image((257, 257))),
-        Case("2048² px, torch", family, "4 million pixels", same, lambda: _image((2048, 2048)), slow=True),
-        Case(
-            "2048² px, pyrender",
-            family,
-            "4 million pixels, 4 samples",
-            formula,
-            lambda: _flat_pixels((2048, 2048)),
-            slow=True,
-        ),
-        Case("black albedo", family, "reflects nothing", "black, gradients exactly 0", _black),
-        Case("white albedo", family, "reflects everything", same + "; nothing is clipped", _white),
+        Case("black albedo", "reflects nothing", "black, gradients exactly 0", _black),
+        Case("white albedo", "reflects everything", same + "; nothing is clipped", _white),
     ]

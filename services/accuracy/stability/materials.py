@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from services.accuracy.placing import placed
-from services.accuracy.stability.case import Case, Measured, need
+from services.accuracy.stability.case import Case, Measured, largest, need
 from services.accuracy.stability.meshes import TEXEL, decoded
 from services.accuracy.stability.objects import file_of
 from services.accuracy.stability.references import Surface, expected
@@ -79,15 +79,15 @@ def _against_formula(scene: ResolvedScene, surface: Surface, limit: float = FORM
     for one in (renderer, renderer.exact()):
         radiance = one.radiance({})[0].reshape(-1, 4)[wanted.pixels, :3].double().numpy()
         shown = one.render({})[0].reshape(-1, 3)[wanted.pixels].double().numpy()
-        worst = max(worst, float(np.abs(radiance - wanted.radiance).max()) / brightest)
-        worst = max(worst, float(np.abs(shown - wanted.shown).max()))
+        worst = max(worst, largest(radiance - wanted.radiance) / brightest)
+        worst = max(worst, largest(shown - wanted.shown))
     seen = rasterise(scene)
     colors = seen.base_color.reshape(-1, 3)[wanted.pixels].double().numpy()
     factor = scene.meshes[0].parts[0].color[:3].astype(np.float64)
-    worst = max(worst, float(np.abs(colors - factor * COLOR * surface.texel).max()))
+    worst = max(worst, largest(colors - factor * COLOR * surface.texel))
     if surface.normal is not None:
         normals = seen.normals.reshape(-1, 3)[wanted.pixels].double().numpy()
-        worst = max(worst, float(np.abs(normals - surface.normal).max()))
+        worst = max(worst, largest(normals - surface.normal))
     what = "largest error of radiance (relative to the brightest), of displayed values and of the G-buffer"
     return Measured(worst, limit, f"{what}; {len(wanted.pixels)} pixels")
 
@@ -203,7 +203,7 @@ def _cut_out() -> Measured:
         inner, renderer = expected(scene).pixels, PyrenderRenderer(scene)
         for one in (renderer, renderer.exact()):
             seen = one.radiance({})[0, ..., 3].flatten()[inner]
-            worst = max(worst, float((seen - wanted).abs().max()))
+            worst = max(worst, largest(seen - wanted))
     return Measured(worst, 0.0, "error of the coverage: 1 at the cutoff and 0 a hundred-thousandth below it")
 
 
@@ -222,9 +222,9 @@ def _blended() -> Measured:
     for one in (renderer, renderer.exact()):
         found = one.radiance({})[0].reshape(-1, 4)[wanted.pixels].double().numpy()
         shown = one.render({})[0].reshape(-1, 3)[wanted.pixels].double().numpy()
-        worst = max(worst, float(np.abs(found[:, :3] - 0.4 * wanted.radiance).max()) / brightest)
-        worst = max(worst, float(np.abs(found[:, 3] - 0.4).max()))
-        worst = max(worst, float(np.abs(shown - (0.4 * wanted.shown + 0.6 * ground)).max()))
+        worst = max(worst, largest(found[:, :3] - 0.4 * wanted.radiance) / brightest)
+        worst = max(worst, largest(found[:, 3] - 0.4))
+        worst = max(worst, largest(shown - (0.4 * wanted.shown + 0.6 * ground)))
     seen = rasterise(scene).coverage.flatten()[wanted.pixels].double().numpy()
     need(bool((np.abs(seen - 0.4) <= 1 / 16).all()), "the G-buffer's share of samples is not 0.4")
     return Measured(worst, FORMULA, f"error of radiance, coverage and displayed values; {len(wanted.pixels)} pixels")
@@ -243,47 +243,33 @@ def _second_set() -> Measured:
 
 def material_cases() -> list[Case]:
     """The cases of this family."""
-    family, formula, turned = "materials", "radiance and image by the formula", "the normal bends as the texture lies"
+    formula, turned = "radiance and image by the formula", "the normal bends as the texture lies"
     stated = np.tile([0.0, 1.0, 0.0, -1.0], (3, 1))
     return [
-        Case("metal, roughness 0.3", family, "point, sun, spot and sky", formula, lambda: _plain(1.0, 0.3)),
-        Case("dielectric, roughness 0.8", family, "point, sun, spot and sky", formula, lambda: _plain(0.0, 0.8)),
+        Case("metal, roughness 0.3", "point, sun, spot and sky", formula, lambda: _plain(1.0, 0.3)),
+        Case("dielectric, roughness 0.8", "point, sun, spot and sky", formula, lambda: _plain(0.0, 0.8)),
         Case(
             "half metal, emissive",
-            family,
             "every term at once",
             formula,
             lambda: _plain(0.5, 0.55, emissiveFactor=(0.1, 0.2, 0.4)),
         ),
-        Case(
-            "given metal, roughness 0.3",
-            family,
-            "a surface that the scene gives",
-            formula,
-            lambda: _given(1.0, 0.3),
-        ),
-        Case("given surfaces on a floor", family, "a floor behind the camera; the rasteriser too", formula, _floor),
-        Case("no factors", family, "the file's defaults", "white metal of roughness 1", _default),
-        Case("every map", family, "five maps and vertex colours", formula, _maps),
-        Case("second texture coordinates", family, "another set than the first", formula, _second_set),
-        Case("normal map", family, "u to the right", turned, lambda: _bent((1, 2))),
-        Case("normal map, mirrored texture", family, "u to the left", turned, lambda: _bent((-1, 2), MIRRORED)),
-        Case(
-            "normal map, mirrored node",
-            family,
-            "scale −1 along x",
-            turned,
-            lambda: _bent((-1, 2), scale=(-1.0, 1.0, 1.0)),
-        ),
+        Case("given metal, roughness 0.3", "a surface that the scene gives", formula, lambda: _given(1.0, 0.3)),
+        Case("given surfaces on a floor", "a floor behind the camera; the rasteriser too", formula, _floor),
+        Case("no factors", "the file's defaults", "white metal of roughness 1", _default),
+        Case("every map", "five maps and vertex colours", formula, _maps),
+        Case("second texture coordinates", "another set than the first", formula, _second_set),
+        Case("normal map", "u to the right", turned, lambda: _bent((1, 2))),
+        Case("normal map, mirrored texture", "u to the left", turned, lambda: _bent((-1, 2), MIRRORED)),
+        Case("normal map, mirrored node", "scale −1 along x", turned, lambda: _bent((-1, 2), scale=(-1.0, 1.0, 1.0))),
         Case(
             "normal map, on the back",
-            family,
             "a double-sided face from behind",
             "the whole normal is turned over",
             lambda: _bent((1, -2), thing={"rotation": (0.0, pi, 0.0)}),
         ),
-        Case("normal map, stated tangent", family, "up, sign −1", turned, lambda: _bent((2, 1), {"TANGENT": stated})),
-        Case("backs and mirrors", family, "winding turned over", "fronts alone are seen", _sides),
-        Case("alpha at the cutoff", family, "1e-5 apart; alpha 1", "seen at it, not below it", _cut_out),
-        Case("blended", family, "opacity 0.4", "0.4 of the opaque surface", _blended),
+        Case("normal map, stated tangent", "up, sign −1", turned, lambda: _bent((2, 1), {"TANGENT": stated})),
+        Case("backs and mirrors", "winding turned over", "fronts alone are seen", _sides),
+        Case("alpha at the cutoff", "1e-5 apart; alpha 1", "seen at it, not below it", _cut_out),
+        Case("blended", "opacity 0.4", "0.4 of the opaque surface", _blended),
     ]

@@ -9,7 +9,7 @@ import torch
 import trimesh
 
 from services.accuracy.placing import placed, sky
-from services.accuracy.stability.case import Case, Measured, need
+from services.accuracy.stability.case import Case, Measured, largest, need
 from services.accuracy.stability.geometry import against_rays, drawn_by, sound
 from services.accuracy.stability.objects import file_of, square, square_arrays
 from services.accuracy.stability.references import EXPOSURE, Lamps, displayed, radiance
@@ -63,9 +63,7 @@ def _same(change: Callable[[Doubles, Longs], Triangles], kind: str = "obj", limi
     plain, changed = read_mesh(as_obj(*_solid()), "obj", faces), read_mesh(write(*change(*_solid())), kind, faces)
     first, second = _shown(plain), _shown(changed)
     need(float(first.std()) > 0.05, "the image shows nothing")
-    return Measured(
-        float((first - second).abs().max()), limit, "largest difference of a displayed value from the sound mesh"
-    )
+    return Measured(largest(first - second), limit, "largest difference of a displayed value from the sound mesh")
 
 
 def _with_degenerate(vertices: Doubles, faces: Longs) -> Triangles:
@@ -104,9 +102,7 @@ def _open() -> Measured:
     limit, front = DEFAULTS.max_faces, {"azimuth": 0.0, "elevation": 0.0}
     # From +z; a little less than half is seen, nothing of the missing band.
     first, second = (_shown(read_mesh(as_obj(vertices, f), "obj", limit), front) for f in (faces, torn))
-    return Measured(
-        float((first - second).abs().max()), SAME, "largest difference of a displayed value from the whole sphere"
-    )
+    return Measured(largest(first - second), SAME, "largest difference of a displayed value from the whole sphere")
 
 
 def _rounded(count: int) -> Measured:
@@ -144,7 +140,7 @@ def _scaled(by: float) -> Callable[[Doubles, Longs], Triangles]:
 
 def mesh_cases() -> list[Case]:
     """The cases of this family."""
-    family, same, refused = "meshes", "the image of the sound mesh", "a clear error names the file"
+    same, refused = "the image of the sound mesh", "a clear error names the file"
     v, f = _solid()
     nan, inf = v.copy(), v.copy()
     nan[5, 1], inf[7, 2] = float("nan"), float("inf")
@@ -152,75 +148,47 @@ def mesh_cases() -> list[Case]:
     return [
         Case(
             "degenerate triangles",
-            family,
             "points, needles, folds: three for each good one",
             same,
             lambda: _same(_with_degenerate),
         ),
         Case(
             "duplicate triangles",
-            family,
             "every triangle four times, two of them inside out",
             same,
             lambda: _same(lambda v, f: (v, np.concatenate([f, f[:, [1, 2, 0]], f[:, ::-1], f[:, [1, 0, 2]]]))),
         ),
-        Case("inside out", family, "every winding inverted", same, lambda: _same(lambda v, f: (v, f[:, ::-1]))),
-        Case("partly inside out", family, "a third of the windings inverted", same, lambda: _same(_half_turned)),
-        Case("unwelded", family, "no two triangles share a vertex", same, lambda: _same(lambda v, f: (v, f), "stl")),
-        Case("shuffled", family, "the order of vertices and triangles", same, lambda: _same(_shuffled)),
-        Case("torn open", family, "not watertight", "the hidden hole is not seen", _open),
-        Case("1e-6 in size", family, "areas of 1e-15", same, lambda: _same(_scaled(1e-6))),
-        Case("1e-20 in size", family, "areas of 1e-43", same, lambda: _same(_scaled(1e-20))),
-        Case("1e6 in size", family, "areas of 1e9", same, lambda: _same(_scaled(1e6))),
-        Case("1e20 in size", family, "squares beyond float32", same, lambda: _same(_scaled(1e20))),
-        Case("1e6 from the origin", family, "float32 has 0.06 left of a size of 1", same, lambda: _same(_moved(1e6))),
-        Case("20k triangles", family, "with needles at the poles", "the normals of a sphere", lambda: _rounded(20_000)),
+        Case("inside out", "every winding inverted", same, lambda: _same(lambda v, f: (v, f[:, ::-1]))),
+        Case("partly inside out", "a third of the windings inverted", same, lambda: _same(_half_turned)),
+        Case("unwelded", "no two triangles share a vertex", same, lambda: _same(lambda v, f: (v, f), "stl")),
+        Case("shuffled", "the order of vertices and triangles", same, lambda: _same(_shuffled)),
+        Case("torn open", "not watertight", "the hidden hole is not seen", _open),
+        Case("1e-6 in size", "areas of 1e-15", same, lambda: _same(_scaled(1e-6))),
+        Case("1e-20 in size", "areas of 1e-43", same, lambda: _same(_scaled(1e-20))),
+        Case("1e6 in size", "areas of 1e9", same, lambda: _same(_scaled(1e6))),
+        Case("1e20 in size", "squares beyond float32", same, lambda: _same(_scaled(1e20))),
+        Case("1e6 from the origin", "float32 has 0.06 left of a size of 1", same, lambda: _same(_moved(1e6))),
+        Case("20k triangles", "with needles at the poles", "the normals of a sphere", lambda: _rounded(20_000)),
         Case(
             "200k triangles",
-            family,
             "with needles at the poles",
             "the normals of a sphere",
             lambda: _rounded(200_000),
             slow=True,
         ),
-        Case("one triangle", family, "no volume, no neighbours", rays, _triangle),
+        Case("one triangle", "no volume, no neighbours", rays, _triangle),
         Case(
             "a chair as it is found",
-            family,
             "furniture of many parts, unwelded, open",
             rays,
             lambda: against_rays(placed("furniture/chair", size=(16, 16))),
         ),
-        Case("NaN vertex", family, "not a number", refused, lambda: _read(nan, f), "refused", "file"),
-        Case("infinite vertex", family, "not a number", refused, lambda: _read(inf, f), "refused", "file"),
-        Case(
-            "coordinates of 1e31",
-            family,
-            "squares beyond any float",
-            refused,
-            lambda: _read(v * 1e31, f),
-            "refused",
-            "file",
-        ),
-        Case("all at one point", family, "no extent", refused, lambda: _read(v * 0 + 1, f), "refused", "file"),
-        Case(
-            "all on one line",
-            family,
-            "extent, but no area",
-            refused,
-            lambda: _read(v * (1, 0, 0), f),
-            "refused",
-            "file",
-        ),
-        Case(
-            "too many triangles",
-            family,
-            "one more than are taken",
-            refused,
-            lambda: _read(v, f, len(f) - 1),
-            "refused",
-            "file",
-        ),
+        Case("NaN vertex", "not a number", refused, lambda: _read(nan, f), refusal="file"),
+        Case("infinite vertex", "not a number", refused, lambda: _read(inf, f), refusal="file"),
+        Case("coordinates of 1e31", "squares beyond any float", refused, lambda: _read(v * 1e31, f), refusal="file"),
+        Case("all at one point", "no extent", refused, lambda: _read(v * 0 + 1, f), refusal="file"),
+        Case("all on one line", "extent, but no area", refused, lambda: _read(v * (1, 0, 0), f), refusal="file"),
+        Case("too many triangles", "one more than are taken", refused, lambda: _read(v, f, len(f) - 1), refusal="file"),
     ]
 
 
@@ -269,7 +237,7 @@ def _seen(
     columns, rows = (SIZE / 2 + focal * side / scene.description.camera.distance * across).astype(int).T
     colors = wanted * factor
     gbuffer = rasterise(scene).base_color[rows, columns].double().numpy()
-    worst = float(np.abs(gbuffer - colors).max())
+    worst = largest(gbuffer - colors)
     x, y = ((columns + 0.5) / SIZE * 2 - 1), (1 - (rows + 0.5) / SIZE * 2)
     reach = tan(scene.description.camera.field_of_view / 2) * scene.description.camera.distance
     positions = np.stack([x * reach, y * reach, 0 * x], axis=1)
@@ -277,7 +245,7 @@ def _seen(
     shown = displayed(EXPOSURE * radiance(positions, normals, colors, scene.view[:3, 3], Lamps(0.9)))
     for renderer in drawn_by(scene, "pyrender") if plain else ():
         image = renderer.render({})[0][rows, columns].double().numpy()
-        worst = max(worst, float(np.abs(image - shown).max()))
+        worst = max(worst, largest(image - shown))
     return Measured(worst, TEXEL, "largest error of a linear base colour and of a displayed value")
 
 
@@ -300,7 +268,7 @@ def _averaged() -> Measured:
     columns, rows = (SIZE / 2 + focal * 0.8 / 1.8 * (np.array(points) - 0.5)).astype(int).T
     seen = rasterise(scene).base_color[rows, columns].double().numpy()
     # Each level of the texture is rounded to 8 bits, in which half a linear 1 is 188.
-    return Measured(float(np.abs(seen - 0.5).max()), 0.01, "distance of the base colour from 0.5, closed form")
+    return Measured(largest(seen - 0.5), 0.01, "distance of the base colour from 0.5, closed form")
 
 
 def _holes() -> Measured:
@@ -315,9 +283,9 @@ def _holes() -> Measured:
     hole = slice(int(24 - 0.4 * extent), int(24 - 0.1 * extent))
     for renderer in drawn_by(scene, "pyrender"):
         image = renderer.render({})[0].double().numpy()
-        need(float(np.abs(image[hole, hole] - ground).max()) < 1e-7, "the ground does not show through the hole")
+        need(largest(image[hole, hole] - ground) < 1e-7, "the ground does not show through the hole")
     shares = np.array([coverage[:24, :24].sum(), coverage[:24, 24:].sum(), coverage[24:].sum()])
-    off = float(np.abs(shares - (0.0, 0.25, 0.5)).max())
+    off = largest(shares - (0.0, 0.25, 0.5))
     return Measured(off, 0.01, "error of a quarter's share of the square's area, closed form")
 
 
@@ -331,11 +299,11 @@ def _file() -> Measured:
 
 def texture_cases() -> list[Case]:
     """The cases of this family."""
-    family, known = "textures", "each quarter where it must be, in its linear colour"
+    known = "each quarter where it must be, in its linear colour"
     return [
-        Case("four quarters", family, "colours of every channel, a factor", known, lambda: _quarters(1)),
-        Case("repeated three times", family, "uv up to 3", known, lambda: _quarters(3)),
-        Case("four quarters from a file", family, "glTF: v runs down", known, _file),
-        Case("texels smaller than a pixel", family, "512² black and white on 24 pixels", "half the light", _averaged),
-        Case("a quarter cut out", family, "alpha 0", "the ground shows through it", _holes),
+        Case("four quarters", "colours of every channel, a factor", known, lambda: _quarters(1)),
+        Case("repeated three times", "uv up to 3", known, lambda: _quarters(3)),
+        Case("four quarters from a file", "glTF: v runs down", known, _file),
+        Case("texels smaller than a pixel", "512² black and white on 24 pixels", "half the light", _averaged),
+        Case("a quarter cut out", "alpha 0", "the ground shows through it", _holes),
     ]

@@ -13,7 +13,7 @@ from pydantic import TypeAdapter, ValidationError
 from torch import Tensor
 
 from services.accuracy.placing import placed, sky
-from services.accuracy.stability.case import Case, Measured, need
+from services.accuracy.stability.case import Case, Measured, largest, need
 from services.accuracy.stability.objects import SIDE, linear_network
 from services.accuracy.stability.references import displayed
 from services.accuracy.stability.torch_shading import Shading
@@ -75,8 +75,8 @@ def _margin(margin: float, reach: bool = False) -> Measured:
 def _steps_alike(scale: float) -> Measured:
     """FGSM on a network whose scores are scaled up goes the way of the network as it was, step for step."""
     first, second = (_perturbed(linear_network(s, classes=2)) for s in (1.0, scale))
-    need(float(first.abs().max()) > 1e-3, "it does not move")
-    return Measured(float((first - second).abs().max()), 0.0, "largest difference of the perturbations after 5 steps")
+    need(largest(first) > 1e-3, "it does not move")
+    return Measured(largest(first - second), 0.0, "largest difference of the perturbations after 5 steps")
 
 
 def _perturbed(network: Classifier) -> Tensor:
@@ -112,7 +112,7 @@ def _all_tied() -> Measured:
     found = _gradient(ResolvedGoal((0,), None), logits).double()
     need(not bool(ResolvedGoal((0,), None).fooled(logits[None])), "the first of equals is not the answer")
     need(abs(float(probability(logits[None], 0)) - 1e-3) < 1e-12, "the probability is not 1/1000")
-    return Measured(float((found[1:] + 1 / 999).abs().max()), 1e-8, "error of the gradient, closed form −1/999")
+    return Measured(largest(found[1:] + 1 / 999), 1e-8, "error of the gradient, closed form −1/999")
 
 
 def _two() -> Measured:
@@ -144,58 +144,48 @@ def _large() -> Measured:
     logits = torch.tensor([1e38, -1e38, 0.0])
     found = _gradient(ResolvedGoal((0,), None), logits).double()
     need(bool(torch.isfinite(ResolvedGoal((0,), None).objective(logits[None])).all()), "the objective is not finite")
-    return Measured(
-        float((found - torch.tensor([1.0, 0.0, -1.0])).abs().max()), 0.0, "error of the gradient, closed form"
-    )
+    return Measured(largest(found - torch.tensor([1.0, 0.0, -1.0])), 0.0, "error of the gradient, closed form")
 
 
 def logit_cases() -> list[Case]:
     """The cases of this family."""
-    family, way, none = "logits", "the gradient is that of the log-odds", "a clear error names the target"
+    way, none = "the gradient is that of the log-odds", "a clear error names the target"
     stopped = "the job ends, and says that its numbers are not finite"
     nan, inf = float("nan"), float("inf")
     return [
-        Case("margin of 20", family, "p = 1 − 2e-9: float32 has lost it", way, lambda: _margin(20.0)),
-        Case("margin of 90", family, "exp(90) overflows float32", way, lambda: _margin(90.0)),
-        Case("margin of 1000", family, "exp(1000) overflows float64", way, lambda: _margin(1000.0)),
-        Case("1000 behind", family, "a label to reach with p = exp(−1000)", way, lambda: _margin(1000.0, reach=True)),
-        Case(
-            "scores × 1000", family, "every score saturated", "the same steps as unscaled", lambda: _steps_alike(1000.0)
-        ),
-        Case("scores × 1e-6", family, "hardly any gradient", "the same steps as unscaled", lambda: _steps_alike(1e-6)),
-        Case("scores of ±1e38", family, "the end of float32", way, _large),
-        Case("two tied", family, "no first answer", "the first of equals is the answer, in any batch", _tied),
-        Case("1000 tied", family, "no first answer", "the first of equals is the answer", _all_tied),
-        Case("two classes", family, "one other answer", "log-odds are z₀ − z₁", _two),
+        Case("margin of 20", "p = 1 − 2e-9: float32 has lost it", way, lambda: _margin(20.0)),
+        Case("margin of 90", "exp(90) overflows float32", way, lambda: _margin(90.0)),
+        Case("margin of 1000", "exp(1000) overflows float64", way, lambda: _margin(1000.0)),
+        Case("1000 behind", "a label to reach with p = exp(−1000)", way, lambda: _margin(1000.0, reach=True)),
+        Case("scores × 1000", "every score saturated", "the same steps as unscaled", lambda: _steps_alike(1000.0)),
+        Case("scores × 1e-6", "hardly any gradient", "the same steps as unscaled", lambda: _steps_alike(1e-6)),
+        Case("scores of ±1e38", "the end of float32", way, _large),
+        Case("two tied", "no first answer", "the first of equals is the answer, in any batch", _tied),
+        Case("1000 tied", "no first answer", "the first of equals is the answer", _all_tied),
+        Case("two classes", "one other answer", "log-odds are z₀ − z₁", _two),
         Case(
             "one class, its gradient",
-            family,
             "no other answer",
             none,
             lambda: _one(ResolvedGoal.objective),
-            "refused",
-            "target.name",
+            refusal="target.name",
         ),
         Case(
             "one class, its advantage",
-            family,
             "no other answer",
             none,
             lambda: _one(ResolvedGoal.advantage),
-            "refused",
-            "target.name",
+            refusal="target.name",
         ),
         Case(
             "one class, attacked",
-            family,
             "no other answer",
             none,
             lambda: _attacked(linear_network(classes=1)),
-            "refused",
-            "target.name",
+            refusal="target.name",
         ),
-        Case("NaN score", family, "not a number", stopped, lambda: _not_numbers(nan), "refused", "non-finite"),
-        Case("infinite score", family, "not a number", stopped, lambda: _not_numbers(inf), "refused", "non-finite"),
+        Case("NaN score", "not a number", stopped, lambda: _not_numbers(nan), refusal="non-finite"),
+        Case("infinite score", "not a number", stopped, lambda: _not_numbers(inf), refusal="non-finite"),
     ]
 
 
@@ -215,9 +205,7 @@ def _image() -> Measured:
     wanted = torch.from_numpy(np.rint(values.double().numpy() * 255) / 255)
     shown = ImageRenderer(values.reshape(64, 64, 1).expand(-1, -1, 3), "numbers").initial()["image"]
     need(shown.dtype == torch.float32, f"the image is {shown.dtype}")
-    return Measured(
-        float((as_saved(values).double() - wanted).abs().max()), 1e-7, "difference from rounding in float64"
-    )
+    return Measured(largest(as_saved(values).double() - wanted), 1e-7, "difference from rounding in float64")
 
 
 def _curve() -> Measured:
@@ -229,12 +217,12 @@ def _curve() -> Measured:
         given = torch.from_numpy(linear).to(dtype).requires_grad_(True)
         shown = to_display(given)
         (gradient,) = torch.autograd.grad(shown.sum(), given)
-        worst = max(worst, float(np.abs(shown.detach().double().numpy() - wanted).max()))
+        worst = max(worst, largest(shown.detach().double().numpy() - wanted))
         inside = (linear > 1e-5) & (linear < 1 - 1e-5) & (np.abs(linear - 0.0031308) > 1e-5)
         steep = (displayed(linear[inside] + 1e-6) - displayed(linear[inside] - 1e-6)) / 2e-6
-        worst = max(worst, 0.1 * float(np.abs(gradient.double().numpy()[inside] / steep - 1).max()))
+        worst = max(worst, 0.1 * largest(gradient.double().numpy()[inside] / steep - 1))
         need(not bool(gradient[(given < 0) | (given > 1)].any()), "what is clipped has a gradient")
-    worst = max(worst, float(np.abs(to_linear(wanted) - np.clip(linear, 0, 1)).max()))
+    worst = max(worst, largest(to_linear(wanted) - np.clip(linear, 0, 1)))
     # Float32 has 1e-7, three times over; the standard's constants meet at the knee to 3e-8.
     return Measured(worst, 5e-7, "error of displayed and linear values, and a tenth of the gradient's relative one")
 
@@ -266,11 +254,11 @@ def _seeds() -> Measured:
     ends = (0, 1, LARGEST_SEED - 1, LARGEST_SEED)
     first, second = ([torch.rand(8, generator=generator(seed, "zoo", 3)) for seed in ends] for _ in range(2))
     need(all(torch.equal(a, b) for a, b in zip(first, second, strict=True)), "the same seed gives other numbers")
-    different = min(float((a - b).abs().max()) for i, a in enumerate(first) for b in first[:i])
+    different = min(largest(a - b) for i, a in enumerate(first) for b in first[:i])
     need(different > 1e-3, "two seeds give the same numbers")
     text = hashlib.sha256(f"{LARGEST_SEED}/zoo/3".encode()).digest()
     again = torch.rand(8, generator=torch.Generator().manual_seed(int.from_bytes(text[:8], "big") % 2**63))
-    return Measured(float((again - first[3]).abs().max()), 0.0, "difference from the stream derived by hand")
+    return Measured(largest(again - first[3]), 0.0, "difference from the stream derived by hand")
 
 
 def _refused(seed: int) -> Measured:
@@ -283,14 +271,14 @@ def _refused(seed: int) -> Measured:
 
 def precision_cases() -> list[Case]:
     """The cases of this family."""
-    family, refused = "precision", "a clear error names the field"
+    refused = "a clear error names the field"
     return [
-        Case("bf16 parameters", family, "8 bits of mantissa", "shaded in float32", _parameters),
-        Case("display curve", family, "from −0.5 to 1.5", "the standard's formula, there and back", _curve),
-        Case("bf16 image", family, "8 bits of mantissa", "the nearest of 256 values", _image),
-        Case("bf16 scores", family, "a sum of 1,000 exponentials", "log-odds as of float64", _scores),
-        Case("bf16 network", family, "8 bits of mantissa", "float32 scores, as close as bf16 allows", _network),
-        Case("seeds 0 and 2⁶³ − 1", family, "the ends of the range", "reproducible, and all different", _seeds),
-        Case("seed −1", family, "below the range", refused, lambda: _refused(-1), "refused", "seed"),
-        Case("seed 2⁶³", family, "above the range", refused, lambda: _refused(2**63), "refused", "seed"),
+        Case("bf16 parameters", "8 bits of mantissa", "shaded in float32", _parameters),
+        Case("display curve", "from −0.5 to 1.5", "the standard's formula, there and back", _curve),
+        Case("bf16 image", "8 bits of mantissa", "the nearest of 256 values", _image),
+        Case("bf16 scores", "a sum of 1,000 exponentials", "log-odds as of float64", _scores),
+        Case("bf16 network", "8 bits of mantissa", "float32 scores, as close as bf16 allows", _network),
+        Case("seeds 0 and 2⁶³ − 1", "the ends of the range", "reproducible, and all different", _seeds),
+        Case("seed −1", "below the range", refused, lambda: _refused(-1), refusal="seed"),
+        Case("seed 2⁶³", "above the range", refused, lambda: _refused(2**63), refusal="seed"),
     ]

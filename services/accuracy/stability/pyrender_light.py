@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from services.accuracy.placing import library, placed
-from services.accuracy.stability.case import Case, Measured, need
+from services.accuracy.stability.case import Case, Measured, largest, need
 from services.accuracy.stability.objects import ball
 from services.accuracy.stability.references import Lamps, expected
 from services.rendering.opengl.gbuffer import rasterise
@@ -52,7 +52,7 @@ def _light_inside(position: tuple[float, float, float]) -> Measured:
     renderer = _renderer()
     inner = renderer.radiance({})[0, ..., 3] == 1
     shone = _lit(renderer, 1.0, (0, 0, 3)) - _lit(renderer, 0.0, (0, 0, 3))
-    need(bool(inner.any()) and float(shone.abs().max()) > 0.1, "the light does nothing outside either")
+    need(bool(inner.any()) and largest(shone) > 0.1, "the light does nothing outside either")
     differs = torch.zeros(renderer.size)
     for one in (renderer, renderer.exact()):
         differs = differs.maximum((_lit(one, 100.0, position) - _lit(one, 0.0, position)).abs().amax(dim=-1))
@@ -66,14 +66,14 @@ def _opposite() -> Measured:
     """Behind a square seen from the front, exactly on the view axis: light and view are opposite, half-way nowhere."""
     renderer = _renderer("primitive/plane")
     lit, dark = _lit(renderer, 100.0, (0, 0, -2.0)), _lit(renderer, 0.0, (0, 0, -2.0))
-    return Measured(float((lit - dark).abs().max()), 0.0, "largest difference from the image without the light")
+    return Measured(largest(lit - dark), 0.0, "largest difference from the image without the light")
 
 
 def _on() -> Measured:
     """A light in the plane of a square grazes it everywhere: it is as if it were not there."""
     renderer = _renderer("primitive/plane")
     lit, dark = _lit(renderer, 100.0, (0.05, 0.1, 0.0)), _lit(renderer, 0.0, (0, 0, 0))
-    return Measured(float((lit - dark).abs().max()), 0.0, "largest difference from the image without the light")
+    return Measured(largest(lit - dark), 0.0, "largest difference from the image without the light")
 
 
 def _against_formula(
@@ -103,8 +103,8 @@ def _against_formula(
     for one in (renderer, renderer.exact()):
         radiance = one.radiance({"illumination": light})[0].reshape(-1, 4)[wanted.pixels, :3].double().numpy()
         shown = one.render({"illumination": light})[0].reshape(-1, 3)[wanted.pixels].double().numpy()
-        worst = max(worst, float(np.abs(radiance - wanted.radiance).max()) / brightest)
-        worst = max(worst, float(np.abs(shown - wanted.shown).max()))
+        worst = max(worst, largest(radiance - wanted.radiance) / brightest)
+        worst = max(worst, largest(shown - wanted.shown))
     what = f"largest error of radiance (relative to the brightest) and of displayed values; {len(wanted.pixels)} pixels"
     return Measured(worst, spread * FORMULA, what)
 
@@ -121,7 +121,7 @@ def _touching() -> Measured:
     need(len(wanted.pixels) == len(pixels), "a pixel is not flat")
     given = torch.tensor([[0.0, 1.0, *light[1:]]], dtype=torch.float64)
     found = renderer.radiance({"illumination": given})[0].reshape(-1, 4)[wanted.pixels, :3].double().numpy()
-    error = float(np.abs(found / wanted.radiance - 1).max())
+    error = largest(found / wanted.radiance - 1)
     return Measured(error, 5 * FORMULA, "relative error of radiance, against the formula; the square lies in z = 0")
 
 
@@ -141,7 +141,7 @@ def _falls_off() -> Measured:
         light = torch.tensor([[0.0, energy / 30, 0.0, 0.0, distance]], dtype=torch.float64)
         found = renderer.radiance({"illumination": light})[0, 16, 16, :3].double()
         wanted = energy / distance**2 * (1 / pi + 0.04 / (4 * pi * 0.45**4))
-        worst = max(worst, float((found / wanted - 1).abs().max()))
+        worst = max(worst, largest(found / wanted - 1))
     return Measured(worst, FORMULA, "relative error of the middle's radiance at distances of 0.5 to 3, closed form")
 
 
@@ -152,7 +152,7 @@ def _sky(up: float) -> Measured:
     dark = torch.tensor([[0.7, 0.0, 0.0, 0.0, 3.0]], dtype=torch.float64)
     found = PyrenderRenderer(scene).radiance({"illumination": dark})[0, 16, 16, :3].double()
     wanted = 0.7 * (1 + sin(up) / 3 + 0.04)
-    return Measured(float((found - wanted).abs().max()), FORMULA, "error of the middle's radiance, closed form")
+    return Measured(largest(found - wanted), FORMULA, "error of the middle's radiance, closed form")
 
 
 def _linear() -> Measured:
@@ -164,7 +164,7 @@ def _linear() -> Measured:
     for energy in (1e-30, 1e6, 1.0):
         light = torch.tensor([[0.0, energy, 1.0, 1.0, 3.0]], dtype=torch.float64)
         found = renderer.radiance({"illumination": light})[0].reshape(-1, 4)[wanted.pixels, :3].double().numpy()
-        worst = max(worst, float(np.abs(found / energy / wanted.radiance - 1).max()))
+        worst = max(worst, largest(found / energy / wanted.radiance - 1))
     return Measured(worst, FORMULA, "relative error of radiance per energy, against the formula")
 
 
@@ -173,7 +173,7 @@ def _strong() -> Measured:
     renderer = _renderer()
     first, second = _lit(renderer, 1e6, (0, 0, 3)), _lit(renderer, 1e7, (0, 0, 3))
     need(bool((first[16, 16] > 1 - 1e-6).all()), "the middle is not white")
-    changed = float((first[16, 16] - second[16, 16]).abs().max())
+    changed = largest(first[16, 16] - second[16, 16])
     return Measured(changed, 0.0, "change of the brightest pixel for ten times the energy")
 
 
@@ -183,7 +183,7 @@ def _refused(energy: float, position: tuple[float, float, float]) -> Measured:
 
 def light_cases() -> list[Case]:
     """The cases of this family."""
-    family, dark, formula = "lights", "as without the light", "radiance and image by the formula"
+    dark, formula = "as without the light", "radiance and image by the formula"
     four = [[30.0, 1.2, 2.0, 1.5], [8.0, -1.0, 0.2, 0.9], [90.0, 0.3, -2.5, 3.0], [2.0, 0.1, 1.0, 0.6]]
     suns = np.array([[2.0, -0.3, -1.0, -0.6], [1.0, 0.5, -0.2, -0.8]])
     spots = np.array(
@@ -194,68 +194,44 @@ def light_cases() -> list[Case]:
     return [
         Case(
             "four lights on a coloured cube",
-            family,
             "body, coat, sky and fall-off together",
             formula,
             lambda: _against_formula("primitive/cube", Lamps(0.25, np.array(four)), glossy),
         ),
         Case(
             "suns and spots on a coloured cube",
-            family,
             "directions of any length; a cone's edge",
             formula,
             lambda: _against_formula("primitive/cube", Lamps(0.25, np.array(four[:1]), suns, spots), glossy, 3.0),
         ),
         Case(
             "smooth normals on large faces",
-            family,
             "interpolated normals of length 0.9",
             formula,
             lambda: _against_formula(ball(0.6), Lamps(0.25, np.array(four)), {"color": (0.8, 0.35, 0.05)}, 5.0),
         ),
         Case(
             "grazing light",
-            family,
             "0.5° above a square",
             formula,
             lambda: _against_formula("primitive/plane", Lamps(0.0, np.array([[30.0, 2.0, 0.1, 0.02]])), spread=10),
         ),
-        Case("0.5 to 3 away", family, "1/d² from 4 to 1/9", "energy / d² and the gloss straight on", _falls_off),
-        Case("sky from above", family, "no other light", "1 + n_y / 3, and the gloss", lambda: _sky(1.2)),
-        Case("sky from below", family, "no other light", "1 + n_y / 3, and the gloss", lambda: _sky(-1.2)),
-        Case(
-            "in the object's centre",
-            family,
-            "d·n < 0 all over; v and l opposite",
-            dark,
-            lambda: _light_inside((0, 0, 0)),
-        ),
-        Case("just below the surface", family, "1e-3 deep", dark, lambda: _light_inside((0, 0, FIT_RADIUS - 2e-3))),
-        Case("opposite the viewer", family, "v + l = 0: no half vector", dark, _opposite),
-        Case("on the surface", family, "1/d² without end, n·l = 0", dark, _on),
-        Case("1e-4 above the surface", family, "1/d² = 1e8", "white below it, else the formula", _touching, "clipped"),
-        Case("1e4 away", family, "energy 3e8", formula, lambda: _far(1e4)),
-        Case("1e15 away", family, "d² beyond float32's digits", formula, lambda: _far(1e15)),
-        Case("1e25 away", family, "its energy beyond float32", refused, lambda: _far(1e25), "refused", "non-finite"),
-        Case(
-            "energy of 1e-30 to 1e6", family, "36 orders of magnitude", "radiance is linear, and the formula's", _linear
-        ),
-        Case("energy of 3e7", family, "10,000 times white", "held at white", _strong, "clipped"),
-        Case(
-            "infinite energy",
-            family,
-            "not a number",
-            refused,
-            lambda: _refused(inf, (0, 0, 3)),
-            "refused",
-            "non-finite",
-        ),
-        Case(
-            "NaN position", family, "not a number", refused, lambda: _refused(1.0, (nan, 0, 3)), "refused", "non-finite"
-        ),
-        Case(
-            "energy beyond float32", family, "1e39", refused, lambda: _refused(1e39, (0, 0, 3)), "refused", "non-finite"
-        ),
+        Case("0.5 to 3 away", "1/d² from 4 to 1/9", "energy / d² and the gloss straight on", _falls_off),
+        Case("sky from above", "no other light", "1 + n_y / 3, and the gloss", lambda: _sky(1.2)),
+        Case("sky from below", "no other light", "1 + n_y / 3, and the gloss", lambda: _sky(-1.2)),
+        Case("in the object's centre", "d·n < 0 all over; v and l opposite", dark, lambda: _light_inside((0, 0, 0))),
+        Case("just below the surface", "1e-3 deep", dark, lambda: _light_inside((0, 0, FIT_RADIUS - 2e-3))),
+        Case("opposite the viewer", "v + l = 0: no half vector", dark, _opposite),
+        Case("on the surface", "1/d² without end, n·l = 0", dark, _on),
+        Case("1e-4 above the surface", "1/d² = 1e8", "white below it, else the formula", _touching, "clipped"),
+        Case("1e4 away", "energy 3e8", formula, lambda: _far(1e4)),
+        Case("1e15 away", "d² beyond float32's digits", formula, lambda: _far(1e15)),
+        Case("1e25 away", "its energy beyond float32", refused, lambda: _far(1e25), refusal="non-finite"),
+        Case("energy of 1e-30 to 1e6", "36 orders of magnitude", "radiance is linear, and the formula's", _linear),
+        Case("energy of 3e7", "10,000 times white", "held at white", _strong, "clipped"),
+        Case("infinite energy", "not a number", refused, lambda: _refused(inf, (0, 0, 3)), refusal="non-finite"),
+        Case("NaN position", "not a number", refused, lambda: _refused(1.0, (nan, 0, 3)), refusal="non-finite"),
+        Case("energy beyond float32", "1e39", refused, lambda: _refused(1e39, (0, 0, 3)), refusal="non-finite"),
     ]
 
 
@@ -351,9 +327,7 @@ def _shadow_inside() -> Measured:
 
 def _nothing(place: Place) -> Measured:
     """The ground alone has the bits that it has without shadows."""
-    return Measured(
-        float(np.abs(_passing(_scene([], place, {})) - 1).max()), 0.0, "largest change of the light's share"
-    )
+    return Measured(largest(_passing(_scene([], place, {})) - 1), 0.0, "largest change of the light's share")
 
 
 def _alone() -> Measured:
@@ -395,47 +369,39 @@ def _texels() -> Measured:
 
 def shadow_cases() -> list[Case]:
     """The cases of this family."""
-    family, shape = "shadows", "dark or lit by the closed form"
+    shape = "dark or lit by the closed form"
     around = [((1.0, 0.4, 0.2), 0.2), ((-0.9, 0.4, 0.3), 0.2), ((0.2, 0.4, 1.1), 0.2), ((0.1, 1.6, 0.0), 0.2)]
     return [
         Case(
             "a ball on the ground",
-            family,
             "contact: distance 0 to what it shades",
             shape,
             lambda: _balls([((0.0, 0.4, 0.0), 0.4)], (1.5, 2.5, 1.0)),
         ),
         Case(
             "light 3° above the ground",
-            family,
             "depth changes 20 times as fast as place",
             shape,
             lambda: _balls([((-0.3, 0.3, 0.0), 0.3)], (3.5, 0.5, 0.4)),
         ),
         Case(
             "light among the objects",
-            family,
             "inside their bounding sphere: six maps",
             shape,
             lambda: _balls(around, (0.1, 0.7, 0.0)),
         ),
         Case(
             "an object moved out of the map",
-            family,
             "2 scene units from where it stood",
             shape,
             lambda: _balls([((-1.0, 0.5, 0.0), 0.3)], (3.0, 2.0, 0.5), move=2.0),
         ),
         Case(
-            "a light 1e5 away",
-            family,
-            "float32 rays alike",
-            shape,
-            lambda: _balls([((0.0, 0.5, 0.0), 0.4)], (8e4, 5e4, 3e4)),
+            "a light 1e5 away", "float32 rays alike", shape, lambda: _balls([((0.0, 0.5, 0.0), 0.4)], (8e4, 5e4, 3e4))
         ),
-        Case("light inside an object", family, "nothing gets out", "no light", _shadow_inside),
-        Case("no occluder", family, "an empty map", "as without shadows", lambda: _nothing((1.0, 2.0, 1.0))),
-        Case("no occluder, grazing", family, "1° above it", "as without shadows", lambda: _nothing((3.0, 0.05, 0.3))),
-        Case("a ball alone", family, "its triangles graze the light", "as without shadows", _alone),
-        Case("every texel over the ground", family, "contact, 512 directions", shape, _texels),
+        Case("light inside an object", "nothing gets out", "no light", _shadow_inside),
+        Case("no occluder", "an empty map", "as without shadows", lambda: _nothing((1.0, 2.0, 1.0))),
+        Case("no occluder, grazing", "1° above it", "as without shadows", lambda: _nothing((3.0, 0.05, 0.3))),
+        Case("a ball alone", "its triangles graze the light", "as without shadows", _alone),
+        Case("every texel over the ground", "contact, 512 directions", shape, _texels),
     ]

@@ -1,6 +1,7 @@
 """All stiff and extreme cases, one after another, and what they came to, as a page and as data."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict
@@ -19,30 +20,30 @@ from services.accuracy.stability import (
 from services.accuracy.stability.case import Case, Observation, observe
 from services.process import versions
 
-FAMILIES = (
-    torch_shading.lobe_cases,
-    torch_shading.normal_cases,
-    torch_light.environment_cases,
-    torch_light.plan_cases,
-    geometry.view_cases,
-    geometry.pose_cases,
-    meshes.mesh_cases,
-    meshes.texture_cases,
-    materials.material_cases,
-    pyrender_light.light_cases,
-    pyrender_light.shadow_cases,
-    networks.logit_cases,
-    attacks.difference_cases,
-    attacks.recurrence_cases,
-    attacks.step_cases,
-    geometry.size_cases,
-    networks.precision_cases,
-)
+FAMILIES: dict[str, Callable[[], list[Case]]] = {
+    "lobes": torch_shading.lobe_cases,
+    "normals": torch_shading.normal_cases,
+    "environments": torch_light.environment_cases,
+    "plans": torch_light.plan_cases,
+    "views": geometry.view_cases,
+    "poses": geometry.pose_cases,
+    "meshes": meshes.mesh_cases,
+    "textures": meshes.texture_cases,
+    "materials": materials.material_cases,
+    "lights": pyrender_light.light_cases,
+    "shadows": pyrender_light.shadow_cases,
+    "logits": networks.logit_cases,
+    "differences": attacks.difference_cases,
+    "recurrences": attacks.recurrence_cases,
+    "steps": attacks.step_cases,
+    "sizes": geometry.size_cases,
+    "precision": networks.precision_cases,
+}
 
 
 def cases(quick: bool = False) -> list[Case]:
     """Every case, in the order of the report; with `quick` those that take a second or two at most."""
-    found = [case for family in FAMILIES for case in family()]
+    found = [replace(case, family=name) for name, family in FAMILIES.items() for case in family()]
     return [case for case in found if not (quick and case.slow)]
 
 

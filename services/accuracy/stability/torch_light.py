@@ -10,7 +10,7 @@ import torch
 
 from services.accuracy.placing import TABLES, broad_sun, placed, sky, sun
 from services.accuracy.stability import references
-from services.accuracy.stability.case import Case, Measured, need
+from services.accuracy.stability.case import Case, Measured, largest, need
 from services.accuracy.stability.references import of_sphere
 from services.accuracy.stability.torch_shading import EXACT, GRADIENT, SHARP, Shading, of_one_lobe
 from services.rendering.factory import build
@@ -43,8 +43,8 @@ def _dark_map() -> Measured:
     light = shading.renderer.initial()["illumination"]
     need(bool((light == 0).all()), "a dark map has light")
     gradient, _ = shading.gradient({"illumination": light + 1e-3}, "illumination")
-    need(float(gradient.abs().max()) > 0, "light cannot be attacked")
-    return Measured(float(image[full].abs().max()), 0.0, "brightest displayed value; black is 0")
+    need(largest(gradient) > 0, "light cannot be attacked")
+    return Measured(largest(image[full]), 0.0, "brightest displayed value; black is 0")
 
 
 def _constant() -> Measured:
@@ -54,7 +54,7 @@ def _constant() -> Measured:
         image = shading.renderer.render({"material": LAMBERTIAN[None]})[0]
     seen = image[shading.gbuffer.coverage == 1].double().numpy()
     wanted = float(references.displayed(np.array([0.9]))[0])
-    return Measured(float(np.abs(seen - wanted).max()), 0.01, "distance from the displayed value of 0.9, closed form")
+    return Measured(largest(seen - wanted), 0.01, "distance from the displayed value of 0.9, closed form")
 
 
 def _scale(factor: float) -> Measured:
@@ -101,7 +101,7 @@ def _cleaned(texel: float) -> Measured:
     wanted = image.copy()
     wanted[3, 5] = 0
     need(bool((clean >= 0).all()), "it has negative texels")
-    return Measured(float(np.abs(clean - from_image(wanted)).max()), 0.0, "change of any other texel; this one is 0")
+    return Measured(largest(clean - from_image(wanted)), 0.0, "change of any other texel; this one is 0")
 
 
 def _large(height: int, width: int) -> Measured:
@@ -132,7 +132,7 @@ def _block_means(large: Floats, rows: int, cols: int) -> Doubles:
 def _one_texel_spread() -> Measured:
     """A map of one texel is the same from everywhere, at any size and turn."""
     spread = average(np.full((1, 1, 3), 0.7, np.float32), 64, 128, 1.234)
-    return Measured(float(np.abs(spread - np.float32(0.7)).max()), 1e-7, "distance from the one texel's radiance")
+    return Measured(largest(spread - np.float32(0.7)), 1e-7, "distance from the one texel's radiance")
 
 
 def _turned(steps: int, exact: bool = True) -> Measured:
@@ -151,7 +151,7 @@ def _turned(steps: int, exact: bool = True) -> Measured:
         rows = slice(16 * i, 16 * i + 16)
         for j in range(7):
             mean = weight[rows] @ fine[rows, 32 * j : 32 * j + 32].mean(axis=1) / weight[rows].sum()
-            worst = max(worst, float(np.abs(seen[i, j] / mean - 1).max()))
+            worst = max(worst, largest(seen[i, j] / mean - 1))
     return Measured(worst, 1e-6, "relative error of a texel, against means over a grid of 80×224 written as loops")
 
 
@@ -171,20 +171,19 @@ def _opposite() -> Measured:
     parameters = {"material": of_one_lobe(0.02, 0.01), "normals": turned}
     found = shading.errors(parameters)
     gradient, _ = shading.gradient(parameters, "normals")
-    need(float(gradient.abs().max()) > 0, "no normal has a gradient")
+    need(largest(gradient) > 0, "no normal has a gradient")
     return found.within(shading.due, "largest error of a displayed value, against the definition in float64")
 
 
 def environment_cases() -> list[Case]:
     """The cases of this family."""
-    family, same = "environments", "the loop's image is within its tolerance, the exact image within rounding"
+    same = "the loop's image is within its tolerance, the exact image within rounding"
     inf, nan, refused = float("inf"), float("nan"), "a clear error names the map"
     return [
-        Case("sun of 1e6 in a sky of 1", family, "one texel of 512", same, lambda: _image_under(sun(1e6, 1))),
-        Case("sun of 1e6 in darkness", family, "one lit texel", same, lambda: _image_under(sun(1e6, 0))),
+        Case("sun of 1e6 in a sky of 1", "one texel of 512", same, lambda: _image_under(sun(1e6, 1))),
+        Case("sun of 1e6 in darkness", "one lit texel", same, lambda: _image_under(sun(1e6, 0))),
         Case(
             "sun of 1e6 on a mirror",
-            family,
             "κ 100, γ 1e4 under one texel",
             same,
             lambda: _image_under(sun(1e6, 0), 100, 1e4, True),
@@ -192,59 +191,41 @@ def environment_cases() -> list[Case]:
         ),
         Case(
             "a smaller sun of 1e6",
-            family,
             "a 32×64 map, one texel of 1e6",
             same,
             lambda: _image_under(sun(1e6, 1, 32, 64), 1, 50),
         ),
-        Case("all-zero map", family, "no light, no scale", "black, finite, still attackable", _dark_map),
-        Case("constant map", family, "no contrast", "an even image of 0.9", _constant),
-        Case("map × 1e30", family, "squares beyond float32", "the scale is undone", lambda: _scale(1e30)),
-        Case("map × 1e-36", family, "squares below float32", "the scale is undone", lambda: _scale(1e-36)),
+        Case("all-zero map", "no light, no scale", "black, finite, still attackable", _dark_map),
+        Case("constant map", "no contrast", "an even image of 0.9", _constant),
+        Case("map × 1e30", "squares beyond float32", "the scale is undone", lambda: _scale(1e30)),
+        Case("map × 1e-36", "squares below float32", "the scale is undone", lambda: _scale(1e-36)),
         *(
             Case(
                 f"pixel {column} of row {row} lit",
-                family,
                 "a file with one lit pixel of 512",
                 "the sphere is lit from there",
                 partial(_from_file, row, column),
             )
             for row, column in ((2, 15), (5, 2), (8, 31), (12, 30))
         ),
-        Case("1×1 map", family, "one direction", same, _one_texel),
-        Case("light opposite the viewer", family, "a half vector without direction", same, _opposite),
-        Case("+inf texel", family, "light without end", refused, lambda: _cleaned(inf), "refused", "environment"),
-        Case("−inf texel", family, "less than nothing", refused, lambda: _cleaned(-inf), "refused", "environment"),
-        Case("NaN texel", family, "not a number", refused, lambda: _cleaned(nan), "refused", "environment"),
-        Case(
-            "negative texel",
-            family,
-            "ringing of a filter",
-            "held at 0, all else stays",
-            lambda: _cleaned(-3.0),
-            "clipped",
-        ),
-        Case("1×1 source", family, "one texel for 8,192", "the same from everywhere", _one_texel_spread),
-        Case(
-            "512×256 source",
-            family,
-            "256 texels for one, a sun in one",
-            "means by solid angle",
-            lambda: _large(256, 512),
-        ),
+        Case("1×1 map", "one direction", same, _one_texel),
+        Case("light opposite the viewer", "a half vector without direction", same, _opposite),
+        Case("+inf texel", "light without end", refused, lambda: _cleaned(inf), refusal="environment"),
+        Case("−inf texel", "less than nothing", refused, lambda: _cleaned(-inf), refusal="environment"),
+        Case("NaN texel", "not a number", refused, lambda: _cleaned(nan), refusal="environment"),
+        Case("negative texel", "ringing of a filter", "held at 0, all else stays", lambda: _cleaned(-3.0), "clipped"),
+        Case("1×1 source", "one texel for 8,192", "the same from everywhere", _one_texel_spread),
+        Case("512×256 source", "256 texels for one, a sun in one", "means by solid angle", lambda: _large(256, 512)),
         Case(
             "4096×2048 source",
-            family,
             "16,384 texels for one, a sun in one",
             "means by solid angle",
             lambda: _large(2048, 4096),
             slow=True,
         ),
-        Case("map turned by 2π", family, "a whole turn", "means by solid angle", lambda: _turned(224)),
-        Case("map turned by 0.7", family, "25 of 224 parts of a turn", "means by solid angle", lambda: _turned(25)),
-        Case(
-            "map turned by 1e-9", family, "a sliver of every texel", "means by solid angle", lambda: _turned(0, False)
-        ),
+        Case("map turned by 2π", "a whole turn", "means by solid angle", lambda: _turned(224)),
+        Case("map turned by 0.7", "25 of 224 parts of a turn", "means by solid angle", lambda: _turned(25)),
+        Case("map turned by 1e-9", "a sliver of every texel", "means by solid angle", lambda: _turned(0, False)),
     ]
 
 
@@ -360,12 +341,12 @@ def _darkened(radiance: Floats) -> Measured:
     gradient, _ = shading.gradient(off, "illumination")
     need(bool((gradient[np.asarray(radiance).sum(axis=2) > 0] != 0).any()), "light cannot come back")
     full = shading.gbuffer.coverage == 1
-    return Measured(float(image[full].abs().max()), 0.0, "brightest displayed value of a covered pixel")
+    return Measured(largest(image[full]), 0.0, "brightest displayed value of a covered pixel")
 
 
 def plan_cases() -> list[Case]:
     """The cases of this family."""
-    family, same = "plans", "within the tolerance; at the start within the plan's estimate"
+    same = "within the tolerance; at the start within the plan's estimate"
     gradient = "the gradient is that of the definition"
     found = []
     for group, word, map_, what in (
@@ -376,31 +357,24 @@ def plan_cases() -> list[Case]:
         ("material", "broad sun", broad_sun(), "a hundred bright texels, in the table"),
     ):
         own, far = partial(_planned_image, map_, group, False), partial(_planned_image, map_, group, True)
-        found.append(Case(f"{group} only, {word}", family, what, same, own))
-        found.append(Case(f"{group} only, moved far", family, "what the plan was not made for", same, far))
+        found.append(Case(f"{group} only, {word}", what, same, own))
+        found.append(Case(f"{group} only, moved far", "what the plan was not made for", same, far))
     return [
         *found,
-        Case("table of a known function", family, "cells of 3°, poles", "third order, by its closed form", _look_up),
-        Case("normals only, gradient", family, "128 edges under a smooth table", "the signs that FGSM goes by", _signs),
+        Case("table of a known function", "cells of 3°, poles", "third order, by its closed form", _look_up),
+        Case("normals only, gradient", "128 edges under a smooth table", "the signs that FGSM goes by", _signs),
         *(
-            Case(f"{group} only, gradient", family, what, gradient, partial(_gradient, group))
+            Case(f"{group} only, gradient", what, gradient, partial(_gradient, group))
             for group, what in (
                 ("illumination", "128 texels at once"),
                 ("illumination_rgb", "384 values at once"),
                 ("material", "108 numbers at once"),
             )
         ),
-        Case(
-            "illumination only, off",
-            family,
-            "all light attacked away",
-            "black, and can come back",
-            lambda: _darkened(sky()),
-        ),
+        Case("illumination only, off", "all light attacked away", "black, and can come back", lambda: _darkened(sky())),
         *(
             Case(
                 f"tolerance {tolerance}",
-                family,
                 "normals attacked, on metal",
                 same,
                 partial(_planned_image, broad_sun(), "normals", True, tolerance),

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from services.accuracy.placing import TABLES, placed, sky, sun
 from services.accuracy.stability import references
-from services.accuracy.stability.case import Case, Measured, need
+from services.accuracy.stability.case import Case, Measured, largest, need
 from services.accuracy.stability.objects import linear_problem
 from services.rendering.factory import build
 from services.rendering.opengl.gbuffer import GBuffer, rasterise
@@ -129,7 +129,7 @@ class Shading:
         brightest = shown.topk(min(BRIGHTEST, len(self.pixels))).indices
         pixels = torch.unique(torch.cat([self.pixels, brightest]))
         wanted, shaded = replace(self, pixels=pixels).defined(parameters)
-        loop, exact = (float(np.abs(image[pixels].numpy() - wanted).max()) for image in images)
+        loop, exact = (largest(image[pixels].numpy() - wanted) for image in images)
         return Errors(loop, exact, float((shaded > 1).any(axis=1).mean()))
 
     def gradient(self, parameters: Parameters, group: str) -> tuple[Tensor, Tensor]:
@@ -241,7 +241,7 @@ def _held(by: float) -> Measured:
     material = start + problem.limits.clamp(torch.full_like(start, by).flatten()).reshape(start.shape)
     kappa, gamma = (1e4, 1e5) if by > 0 else (1e-6, 1e-3)
     wanted = torch.tensor([log(kappa), log(gamma)], dtype=torch.float64)[:, None] * 30.0
-    need(float((material.double() - wanted).abs().max()) < 1e-3, f"it is not held at κ = {kappa:g} and γ = {gamma:g}")
+    need(largest(material.double() - wanted) < 1e-3, f"it is not held at κ = {kappa:g} and γ = {gamma:g}")
     found = shading.errors({"material": material})
     if by < 0:
         return _relative(shading, material)
@@ -251,11 +251,10 @@ def _held(by: float) -> Measured:
 
 def lobe_cases() -> list[Case]:
     """The cases of this family."""
-    family, same = "lobes", "the loop's image is within its tolerance, the exact image within rounding"
+    same = "the loop's image is within its tolerance, the exact image within rounding"
     return [
         Case(
             "κ 1e4, γ 1",
-            family,
             "exp(1e4) overflows any float; one lit texel",
             "white where the texel shines, black beyond its horizon",
             lambda: _lobe_image(1e4, 1, (0.1, 0.9), np.roll(sun(1.0, 0.0), 8, axis=1)),
@@ -263,40 +262,30 @@ def lobe_cases() -> list[Case]:
         ),
         Case(
             "κ 1e4, γ 1e5",
-            family,
             "a mirror: nothing, and 0.3° further white",
             same,
             lambda: _lobe_image(1e4, 1e5, (0.01, 0.5)),
             "clipped",
         ),
-        Case("κ 0.5, γ 1e5", family, "a lobe of 0.3°, narrower than a texel", same, lambda: _lobe_image(0.5, 1e5)),
-        Case(
-            "κ 88, γ 1e3",
-            family,
-            "exp(88) is float32's largest",
-            same,
-            lambda: _lobe_image(88, 1e3, (0.1, 0.9)),
-            "clipped",
-        ),
-        Case("κ 0.5, γ 300", family, "a glossy lobe, not clipped", same, lambda: _lobe_image(0.5, 300)),
-        Case("κ 0.3, γ 1e-3", family, "γ → 0: a Lambertian body", same, lambda: _lobe_image(0.3, 1e-3)),
-        Case("κ → 0", family, "exp(x) − 1 for x = 1e-6", "no digits are lost in the difference", _dark),
+        Case("κ 0.5, γ 1e5", "a lobe of 0.3°, narrower than a texel", same, lambda: _lobe_image(0.5, 1e5)),
+        Case("κ 88, γ 1e3", "exp(88) is float32's largest", same, lambda: _lobe_image(88, 1e3, (0.1, 0.9)), "clipped"),
+        Case("κ 0.5, γ 300", "a glossy lobe, not clipped", same, lambda: _lobe_image(0.5, 300)),
+        Case("κ 0.3, γ 1e-3", "γ → 0: a Lambertian body", same, lambda: _lobe_image(0.3, 1e-3)),
+        Case("κ → 0", "exp(x) − 1 for x = 1e-6", "no digits are lost in the difference", _dark),
         Case(
             "gradient, κ 4, γ 300",
-            family,
             "a steep lobe",
             "the gradient is that of the definition",
             lambda: _gradient_of_lobes(4, 300),
         ),
         Case(
             "gradient, κ 0.3, γ 1",
-            family,
             "a flat lobe",
             "the gradient is that of the definition",
             lambda: _gradient_of_lobes(0.3, 1),
         ),
         *(
-            Case(f"red {name}", family, "the body's colour has no blue", what, partial(_gloss, name))
+            Case(f"red {name}", "the body's colour has no blue", what, partial(_gloss, name))
             for name, what in (
                 ("plastic", "the gloss has the light's colour"),
                 ("glossy-paint", "the gloss has the light's colour"),
@@ -306,7 +295,6 @@ def lobe_cases() -> list[Case]:
         *(
             Case(
                 f"gradient by {group}, red paint",
-                family,
                 "two layers, one without colour",
                 "the gradient is that of the definition",
                 partial(_gloss_gradient, group),
@@ -314,14 +302,7 @@ def lobe_cases() -> list[Case]:
             for group in ("material", "illumination_rgb")
         ),
         *(
-            Case(
-                name,
-                family,
-                "a step of η = 1e3 and more",
-                "held at its bounds, and rendered",
-                partial(_held, by),
-                "clipped",
-            )
+            Case(name, "a step of η = 1e3 and more", "held at its bounds, and rendered", partial(_held, by), "clipped")
             for name, by in (("material + 1e6", 1e6), ("material − 1e6", -1e6))
         ),
     ]
@@ -356,9 +337,9 @@ def _pole(polar: float) -> Measured:
     with torch.no_grad():
         images = [shading.renderer.render({g: v[None] for g, v in p.items()}) for p in (parameters, turned)]
     gradient, _ = shading.gradient(parameters, "normals")
-    need(float(gradient[..., 1].abs().max()) > 0, "the gradient of the polar angle is zero too")
+    need(largest(gradient[..., 1]) > 0, "the gradient of the polar angle is zero too")
     gradients = float(gradient[..., 0].abs().max() / gradient[..., 1].abs().max())
-    moved = float((images[0] - images[1]).abs().max())
+    moved = largest(images[0] - images[1])
     # float32's π is off by 9e-8, so sin(polar) is 9e-8 and not 0.
     return Measured(
         max(moved, gradients), 1e-5, "change of the image under the azimuth, and its gradient against the polar's"
@@ -381,9 +362,7 @@ def _there_and_back() -> Measured:
     need(bool(torch.isfinite(angles).all()), "an angle is not finite")
     need(bool((angles[:, 0].abs() <= np.float32(pi)).all()), "an azimuth is beyond π")
     back = to_vectors(angles.double()).numpy()
-    return Measured(
-        float(np.abs(back - unit).max()), 5e-7, "distance of the unit vector that comes back; π is 3e-7 in float32"
-    )
+    return Measured(largest(back - unit), 5e-7, "distance of the unit vector that comes back; π is 3e-7 in float32")
 
 
 def _edge_on() -> Measured:
@@ -410,53 +389,38 @@ def _edge_on() -> Measured:
 
 def normal_cases() -> list[Case]:
     """The cases of this family."""
-    family, same = "normals", "the loop's image is within its tolerance, the exact image within rounding"
+    same = "the loop's image is within its tolerance, the exact image within rounding"
     right, away = "the gradient is that of the definition", pi
     return [
-        Case("upper pole", family, "polar angle 0", same, lambda: _image_of_normals(0.0, 0.0)),
-        Case("lower pole", family, "polar angle π", same, lambda: _image_of_normals(0.0, pi)),
+        Case("upper pole", "polar angle 0", same, lambda: _image_of_normals(0.0, 0.0)),
+        Case("lower pole", "polar angle π", same, lambda: _image_of_normals(0.0, pi)),
         Case(
             "azimuth at the upper pole",
-            family,
             "an angle without meaning",
             "it moves nothing and has no gradient",
             lambda: _pole(0.0),
         ),
         Case(
             "azimuth at the lower pole",
-            family,
             "an angle without meaning",
             "it moves nothing and has no gradient",
             lambda: _pole(pi),
         ),
-        Case("gradient beside the pole", family, "polar angle 1e-3", right, lambda: _gradient_of_normals(0.7, 1e-3)),
-        Case(
-            "view axis", family, "n = v exactly, where θ_h and θ_d meet", same, lambda: _image_of_normals(0.0, pi / 2)
-        ),
-        Case("gradient on the view axis", family, "n = v exactly", right, lambda: _gradient_of_normals(0.0, pi / 2)),
-        Case("grazing", family, "n·v = 1e-6", same, lambda: _image_of_normals(pi / 2 - 1e-6, pi / 2)),
-        Case("gradient when grazing", family, "n·v = 1e-3", right, lambda: _gradient_of_normals(pi / 2 - 1e-3, 1.2)),
-        Case(
-            "back-facing",
-            family,
-            "n = −v: n·h is never positive",
-            same,
-            lambda: _image_of_normals(away, pi / 2, 0.3, 0.05),
-        ),
+        Case("gradient beside the pole", "polar angle 1e-3", right, lambda: _gradient_of_normals(0.7, 1e-3)),
+        Case("view axis", "n = v exactly, where θ_h and θ_d meet", same, lambda: _image_of_normals(0.0, pi / 2)),
+        Case("gradient on the view axis", "n = v exactly", right, lambda: _gradient_of_normals(0.0, pi / 2)),
+        Case("grazing", "n·v = 1e-6", same, lambda: _image_of_normals(pi / 2 - 1e-6, pi / 2)),
+        Case("gradient when grazing", "n·v = 1e-3", right, lambda: _gradient_of_normals(pi / 2 - 1e-3, 1.2)),
+        Case("back-facing", "n = −v: n·h is never positive", same, lambda: _image_of_normals(away, pi / 2, 0.3, 0.05)),
         Case(
             "back-facing, oblique",
-            family,
             "n·v = −0.5, lit from behind",
             same,
             lambda: _image_of_normals(2 * pi / 3, pi / 2, 0.3, 1.0),
         ),
         Case(
-            "angles of 1e3",
-            family,
-            "160 turns: float32 has 6e-5 radians left",
-            same,
-            lambda: _image_of_normals(1000.0, 1000.0),
+            "angles of 1e3", "160 turns: float32 has 6e-5 radians left", same, lambda: _image_of_normals(1000.0, 1000.0)
         ),
-        Case("vector to angles and back", family, "axes, poles, ±π", "the same vector comes back", _there_and_back),
-        Case("edge-on square", family, "0.6° from edge-on", "unit normals towards the viewer", _edge_on),
+        Case("vector to angles and back", "axes, poles, ±π", "the same vector comes back", _there_and_back),
+        Case("edge-on square", "0.6° from edge-on", "unit normals towards the viewer", _edge_on),
     ]
