@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from tests.unit.accuracy import test_attack_errors
+from tests.unit.accuracy import test_attack_bounds
 from tests.unit.analysis import test_adaptive
 from tests.unit.attacks import test_p_rgf, test_samples, test_zoo
 from tests.unit.rendering.torch_renderer import test_gradient_error, test_shadows
@@ -42,10 +42,10 @@ MUTANTS = {
         test_shadows.test_a_matte_scene_in_partial_shadow_looks_the_same_from_near_and_from_afar,
     ),
     "mean of an image's errors": Mutant(
-        "services.accuracy.attack_errors:_error",
+        "benchmarks.attack_bounds:_error",
         ".abs().max())",
         ".abs().mean())",
-        test_attack_errors.test_the_error_of_an_image_is_that_of_its_worst_value,
+        test_attack_bounds.test_the_error_of_an_image_is_that_of_its_worst_value,
     ),
     "vanished signs counted as right": Mutant(
         "services.rendering.torch_renderer.planner:_compared",

@@ -10,14 +10,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from services.accuracy import attack_errors as attack_errors_module
-from services.accuracy.attack_errors import (
-    GROUPS,
-    AttackErrors,
-    adversarial_scenes,
-    attack_errors,
-    random_scenes,
-)
+from benchmarks import attack_bounds
+from benchmarks.attack_bounds import GROUPS, AttackErrors, adversarial_scenes, attack_errors, random_scenes
 from services.accuracy.placing import library
 from services.rendering.torch_renderer.renderer import TorchRenderer
 
@@ -55,7 +49,7 @@ class Optimist(TorchRenderer):
 
 def test_an_estimate_that_does_not_hold_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     [case] = islice(adversarial_scenes(), 4, 5)
-    monkeypatch.setattr(attack_errors_module, "TorchRenderer", Optimist)
+    monkeypatch.setattr(attack_bounds, "TorchRenderer", Optimist)
     found = attack_errors(case, library(), steps=1)
     assert found.beyond == found.images == 2
 
@@ -73,7 +67,7 @@ def test_the_error_of_an_image_is_that_of_its_worst_value() -> None:
     """The value is of the ground, where the renderer itself makes no error but that of float32."""
     [case] = islice(adversarial_scenes(), 4, 5)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(attack_errors_module, "TorchRenderer", Spotted)
+        patch.setattr(attack_bounds, "TorchRenderer", Spotted)
         found = attack_errors(case, library(), steps=1)
     assert found.worst == pytest.approx(0.2, abs=1e-6)
     assert found.beyond == 2
