@@ -18,6 +18,7 @@ from services.accuracy.stability import (
     torch_shading,
 )
 from services.accuracy.stability.case import Case, Observation, observe
+from services.accuracy.tables import small, table
 from services.process import versions
 
 FAMILIES: dict[str, Callable[[], list[Case]]] = {
@@ -110,10 +111,8 @@ def markdown(found: Report) -> str:
         "`mutants.py` list how).",
     ]
     for family in dict.fromkeys(row.family for row in found.cases):
-        lines += ["", f"## {family.capitalize()}", ""]
-        lines += ["| case | what is stiff | must hold | outcome | measured | tolerance | how it was seen | seconds |"]
-        lines += ["|---|---|---|---|---:|---:|---|---:|"]
-        lines += [_line(row) for row in found.cases if row.family == family]
+        rows = [row for row in found.cases if row.family == family]
+        lines += ["", f"## {family.capitalize()}", "", table(COLUMNS, rows)]
     lines += ["", "## How to make this page again", "", "```sh", found.command, "```", ""]
     lines += [f"{found.backend}; " + ", ".join(f"{name} {number}" for name, number in found.versions.items()) + "."]
     lines += [f"Seeds: {found.seed}. Seconds are told so roughly that two runs on one machine give"]
@@ -121,11 +120,16 @@ def markdown(found: Report) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _line(row: Observation) -> str:
-    outcome = f"**{row.outcome}**" if row.outcome == "failed" else row.outcome
-    numbers = ["" if value is None else f"{value:.1e}" if value else "0" for value in (row.measured, row.tolerance)]
-    cells = [row.name, row.stiff, row.must, outcome, *numbers, row.what, row.seconds]
-    return "| " + " | ".join(cell.replace("|", "\\|").replace("\n", " ") for cell in cells) + " |"
+COLUMNS: dict[str, Callable[[Observation], str]] = {
+    "case": lambda row: row.name,
+    "what is stiff": lambda row: row.stiff,
+    "must hold": lambda row: row.must,
+    "outcome": lambda row: f"**{row.outcome}**" if row.outcome == "failed" else row.outcome,
+    "measured>": lambda row: small(row.measured),
+    "tolerance>": lambda row: small(row.tolerance),
+    "how it was seen": lambda row: row.what,
+    "seconds": lambda row: row.seconds,
+}
 
 
 def write(found: Report, folder: Path) -> None:

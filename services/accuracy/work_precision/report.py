@@ -3,7 +3,7 @@
 import csv
 import json
 import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from io import StringIO
@@ -12,6 +12,7 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict, Field
 
 from services.accuracy.provenance import PACKAGES, backend
+from services.accuracy.tables import Row, small, table
 from services.accuracy.work_precision import attacks as attack_runs
 from services.accuracy.work_precision import scene_options, shading
 from services.accuracy.work_precision.attacks import AttackRow, Interval, SignRow, SuccessRow, success_rows
@@ -199,7 +200,7 @@ def _flat(row: dict[str, object], before: str = "") -> Iterator[tuple[str, objec
 
 # The page
 
-SUMS = """The sum over all directions and lobes of {mesh} under a map of {map}, with
+SUMS = """The sum over all directions and lobes of {row.object} under a map of {row.map[0]}×{row.map[1]}, with
 gradients by all three groups. The compiled kernels use float32 within a tolerance and float64 exactly. Without a
 compiler, torch computes the same more slowly. bfloat16 is not accurate enough, and float16 cannot hold the
 exponentials of lobes."""
@@ -213,14 +214,15 @@ relative error (L2) of the attacked groups' gradients. Seconds are of an image a
 way into an attack. Where a table was tried and its check failed, the note says so: that image cost more."""
 
 MAPS = """A scene's light is its map averaged down to a grid of `size`; every other error on this page is for the grid
-as it is given. Differences of displayed values between exact images, from the image under a map of {reference}:"""
+as it is given. Differences of displayed values between exact images, from the image under one of
+{row.reference[0]}×{row.reference[1]}:"""
 
 SHADOWS = """Exact images beside those with the finest shadows; differences of displayed values over covered pixels.
 Seconds are of an image (pyrender), or of the visibility, which is found once (torch)."""
 
-SCENES = """{scene}: first without options, then with one more of them at a time, some way into an attack on the
-renderer's default groups. Differences are from the exact image, over covered pixels. *Share* is of those that are off
-by more than 1/255. *Estimate* is the plan's: of the largest error (torch), or of the mean (pyrender)."""
+SCENES = f"""{scene_options.SCENE}: first without options, then with one more of them at a time, some way into an
+attack on the renderer's default groups. Differences are from the exact image, over covered pixels. *Share* is of those
+that are off by more than 1/255. *Estimate* is the plan's: of the largest error (torch), or of the mean (pyrender)."""
 
 SIGNS = """Signs of the gradient of the network's log-odds, against float64 throughout. *By weight* is the part w of the
 gradient's absolute sum that the wrong ones hold: a step by signs keeps 1 − 2w of its gain. An attack takes the
@@ -242,17 +244,29 @@ OMISSIONS = """
 
 def markdown(made: Report) -> str:
     """The page: which tolerance to choose, then error against seconds, option by option; of the parts measured."""
+    plans = [row for row in made.shading if row.tolerance is not None]
+    sums = [row for row in made.shading if row.tolerance is None and row.map == DEFAULT_MAP]
+    attacks = list(success_rows(made.attacks))
+    # All groups on every subject, and single groups on the first one under the default map.
+    shown = [row for row in plans if row.groups == GROUPS or (row.mesh, row.map) == (plans[0].mesh, DEFAULT_MAP)]
     sections = [
         "# Error against run time",
         f"Every row is in [{NAME}.csv]({NAME}.csv). [How it works](../how-it-works.md) says what a plan leaves out.",
-        *_tolerances(made),
-        *_plans(made.shading),
-        *_sums(made.shading),
-        *_maps_section(made.maps),
-        *_shadows(made.shadows),
-        *_scenes(made.scenes),
-        *_signs(made.signs),
-        *_attacks(made.attacks),
+        "## Which tolerance",
+        TOLERANCE,
+        *_tolerances(made, plans, attacks),
+        *_section("Plans", PLANS, PLAN_COLUMNS, shown),
+        *_section("Types of number", SUMS, SUM_COLUMNS, [row for row in sums if row.mesh == sums[0].mesh]),
+        *_section("Resolution of the environment map", MAPS, MAP_COLUMNS, made.maps),
+        *_section("Resolution of shadows", SHADOWS, SHADOW_COLUMNS, made.shadows),
+        *_section("Surfaces, floor and shadows", SCENES, SCENE_COLUMNS, made.scenes),
+        *_section(
+            "Signs that FGSM takes",
+            SIGNS,
+            SIGN_COLUMNS,
+            [row for row in made.signs if row.tolerance in (DEFAULT, "exact")],
+        ),
+        *_section("Work to a verified adversary", ATTACKS, ATTACK_COLUMNS, attacks),
         "## What is left out",
         OMISSIONS.strip(),
         "## How to make this page again",
@@ -261,20 +275,23 @@ def markdown(made: Report) -> str:
     return "\n\n".join(sections) + "\n"
 
 
-def _tolerances(made: Report) -> Iterator[str]:
+def _section(heading: str, words: str, columns: Mapping[str, Callable[[Row], str]], rows: Sequence[Row]) -> list[str]:
+    """A table under its heading and its words, which may name {fields} of the first row; nothing without rows."""
+    return [f"## {heading}", words.format(row=rows[0]), table(columns, rows)] if rows else []
+
+
+def _tolerances(made: Report, plans: Sequence[ShadingRow], attacks: Sequence[SuccessRow]) -> Iterator[str]:
     """Which tolerance to choose, by what the rows say."""
-    yield "## Which tolerance"
-    yield TOLERANCE
     points = []
-    by = {row.tolerance: row for row in success_rows(made.attacks) if row.groups == GROUPS}
+    by = {_named(row.tolerance): row for row in attacks if row.groups == GROUPS}
     if by:
-        verified = ", ".join(f"{row.verified} of {row.attacks} ({_named(tolerance)})" for tolerance, row in by.items())
-        steps = ", ".join(f"{row.seconds_per_step:.2g} s ({_named(tolerance)})" for tolerance, row in by.items())
+        verified = ", ".join(f"{row.verified} of {row.attacks} ({tolerance})" for tolerance, row in by.items())
+        steps = ", ".join(f"{row.seconds_per_step:.2g} s ({tolerance})" for tolerance, row in by.items())
         points.append(f"Attacks on all three torch groups were verified in {verified}; a step took {steps}.")
-    plans = [row for row in made.shading if row.estimate is not None and row.largest is not None]
-    if plans:
-        held = sum((row.largest or 0) <= max(row.estimate or 0, EXACTLY) for row in plans)
-        points.append(f"The largest error of an image was within the plan's estimate in {held} of {len(plans)} plans.")
+    judged = [row for row in plans if row.estimate is not None and row.largest is not None]
+    if judged:
+        held = sum((row.largest or 0) <= max(row.estimate or 0, EXACTLY) for row in judged)
+        points.append(f"The largest error of an image was within the plan's estimate in {held} of {len(judged)} plans.")
     default_map = [row.largest for row in made.maps if row.map == DEFAULT_MAP]
     if default_map:
         points.append(
@@ -285,153 +302,20 @@ def _tolerances(made: Report) -> Iterator[str]:
         yield "\n".join(f"- {point}" for point in points)
 
 
-def _plans(rows: Sequence[ShadingRow]) -> Iterator[str]:
-    """All groups on every subject, and single groups on the first one under the default map."""
-    plans = [row for row in rows if row.tolerance is not None]
-    shown = [row for row in plans if row.groups == GROUPS or (row.mesh, row.map) == (plans[0].mesh, DEFAULT_MAP)]
-    if shown:
-        yield from ("## Plans", PLANS)
-        yield _table(
-            "object|map|attacked|tolerance>|largest>|estimate>|gradient>|seconds>|note",
-            [
-                [
-                    *(_object(row), _grid(row.map), _groups(row.groups), _named(row.tolerance), _small(row.largest)),
-                    *(_small(row.estimate), _small(max(row.gradient.values(), default=None)), _seconds(row), row.note),
-                ]
-                for row in shown
-            ],
-        )
-
-
-def _sums(rows: Sequence[ShadingRow]) -> Iterator[str]:
-    sums = [row for row in rows if row.tolerance is None and row.map == DEFAULT_MAP]
-    sums = [row for row in sums if row.mesh == sums[0].mesh]
-    if sums:
-        yield from ("## Types of number", SUMS.format(mesh=_object(sums[0]), map=_grid(DEFAULT_MAP)))
-        yield _table(
-            "type|kernel|largest>|gradient>|seconds>",
-            [
-                [
-                    *(row.dtype, row.kernel, _small(row.largest)),
-                    *(_small(max(row.gradient.values(), default=None)), _seconds(row)),
-                ]
-                for row in sums
-            ],
-        )
-
-
-def _maps_section(rows: Sequence[MapRow]) -> Iterator[str]:
-    if rows:
-        yield from ("## Resolution of the environment map", MAPS.format(reference=_grid(rows[0].reference)))
-        yield _table(
-            "material|map|largest>|rms>",
-            [[row.material, _grid(row.map), _small(row.largest), _small(row.rms)] for row in rows],
-        )
-
-
-def _shadows(rows: Sequence[ShadowRow]) -> Iterator[str]:
-    if rows:
-        yield from ("## Resolution of shadows", SHADOWS)
-        yield _table(
-            "renderer|shadows|beside|mean>|largest>|seconds>",
-            [
-                [
-                    *(row.renderer, row.fineness, row.reference),
-                    *(_small(row.mean), _small(row.largest), f"{row.seconds:.2g}"),
-                ]
-                for row in rows
-            ],
-        )
-
-
-def _scenes(rows: Sequence[SceneRow]) -> Iterator[str]:
-    if rows:
-        yield from ("## Surfaces, floor and shadows", SCENES.format(scene=scene_options.SCENE))
-        yield _table(
-            "scene|renderer|tolerance>|mean>|share>|largest>|estimate>|seconds>",
-            [
-                [
-                    *(row.scene, row.renderer, _named(row.tolerance), _small(row.mean), f"{row.share:.2%}"),
-                    *(_small(row.largest), _small(row.estimate), f"{row.seconds:.2g}"),
-                ]
-                for row in rows
-            ],
-        )
-
-
-def _signs(rows: Sequence[SignRow]) -> Iterator[str]:
-    if rows:
-        yield from ("## Signs that FGSM takes", SIGNS)
-        yield _table(
-            "attacked|tolerance>|network sees|wrong signs>|by weight>",
-            [
-                [
-                    *(row.group, _named(row.tolerance), row.image),
-                    *(f"{row.wrong_signs:.1%}", f"{row.wrong_weight:.2%}"),
-                ]
-                for row in rows
-                if row.tolerance in (DEFAULT, "exact")
-            ],
-        )
-
-
-def _attacks(attacks: Sequence[AttackRow]) -> Iterator[str]:
-    rows = list(success_rows(attacks))
-    if rows:
-        yield from ("## Work to a verified adversary", ATTACKS)
-        yield _table(
-            "method|renderer|attacked|tolerance>|verified>|rate>|queries|seconds|a step>|budget>",
-            [
-                [
-                    *(row.method, row.renderer, _groups(row.groups), _named(row.tolerance)),
-                    *(f"{row.verified} of {row.attacks}", f"{row.rate_low:.0%}–{row.rate_high:.0%}"),
-                    *_work(row),
-                    *(f"{row.seconds_per_step:.2g}", f"{row.max_steps} steps"),
-                ]
-                for row in rows
-            ],
-        )
-
-
-def _work(row: SuccessRow) -> tuple[str, str]:
-    def interval(of: Interval) -> str:
-        median, low, high = ("> budget" if value is None else f"{value:.3g}" for value in (of.median, of.low, of.high))
-        return "> budget" if of.low is None else f"{median} [{low}, {high}]"
-
-    return interval(row.queries), interval(row.seconds)
-
-
 def _provenance(made: Report) -> Iterator[str]:
     yield "Seconds are medians of several runs after one that warms up; they mean something only on a machine that does"
     yield "nothing else. Each part says how it was measured:"
     yield ""
-    parts: dict[str, list[str]] = {}
-    for name, how in made.measured.items():
-        parts.setdefault(how.model_dump_json(), []).append(name)
-    for text, names in parts.items():
-        how = Measurement.model_validate_json(text)
-        numbers = ", ".join(f"{name} {number}" for name, number in how.versions.items())
-        said = f"`{how.command}`, {how.when}, seed {how.seed}; load: {how.load}; {how.backend}; {numbers}"
-        yield f"- {', '.join(names)}: {said}."
+    for how in dict.fromkeys(one.model_dump_json() for one in made.measured.values()):
+        names = ", ".join(name for name, one in made.measured.items() if one.model_dump_json() == how)
+        one = Measurement.model_validate_json(how)
+        numbers = ", ".join(f"{name} {number}" for name, number in one.versions.items())
+        said = f"`{one.command}`, {one.when}, seed {one.seed}; load: {one.load}; {one.backend}; {numbers}"
+        yield f"- {names}: {said}."
 
 
-def _table(columns: str, rows: Iterable[Sequence[str]]) -> str:
-    """Columns by "|"; one whose heading ends in ">" is aligned to the right."""
-    headings = columns.split("|")
-    lines = [
-        "| " + " | ".join(heading.removesuffix(">") for heading in headings) + " |",
-        "|" + "|".join("---:" if heading.endswith(">") else "---" for heading in headings) + "|",
-        *("| " + " | ".join(cell.replace("|", "\\|").replace("\n", " ") for cell in row) + " |" for row in rows),
-    ]
-    return "\n".join(lines)
-
-
-def _object(row: ShadingRow) -> str:
-    return f"{row.mesh.removeprefix('furniture/')}, {row.material}"
-
-
-def _groups(groups: tuple[str, ...]) -> str:
-    return "all three" if groups == GROUPS else ", ".join(groups)
+def _groups(row: ShadingRow | SuccessRow) -> str:
+    return "all three" if row.groups == GROUPS else ", ".join(row.groups)
 
 
 def _grid(texels: tuple[int, int]) -> str:
@@ -442,9 +326,77 @@ def _named(tolerance: float | str | None) -> str:
     return f"{tolerance:g}" if isinstance(tolerance, float) else str(tolerance)
 
 
-def _small(value: float | None) -> str:
-    return "" if value is None else f"{value:.1e}" if value else "0"
+def _gradient(row: ShadingRow) -> str:
+    return small(max(row.gradient.values(), default=None))
 
 
 def _seconds(row: ShadingRow) -> str:
     return "" if row.both is None else f"{row.both.median:.2g}"
+
+
+def _interval(of: Interval) -> str:
+    median, low, high = ("> budget" if value is None else f"{value:.3g}" for value in (of.median, of.low, of.high))
+    return "> budget" if of.low is None else f"{median} [{low}, {high}]"
+
+
+PLAN_COLUMNS: dict[str, Callable[[ShadingRow], str]] = {
+    "object": lambda row: row.object,
+    "map": lambda row: _grid(row.map),
+    "attacked": _groups,
+    "tolerance>": lambda row: _named(row.tolerance),
+    "largest>": lambda row: small(row.largest),
+    "estimate>": lambda row: small(row.estimate),
+    "gradient>": _gradient,
+    "seconds>": _seconds,
+    "note": lambda row: row.note,
+}
+SUM_COLUMNS: dict[str, Callable[[ShadingRow], str]] = {
+    "type": lambda row: row.dtype,
+    "kernel": lambda row: row.kernel,
+    "largest>": lambda row: small(row.largest),
+    "gradient>": _gradient,
+    "seconds>": _seconds,
+}
+MAP_COLUMNS: dict[str, Callable[[MapRow], str]] = {
+    "material": lambda row: row.material,
+    "map": lambda row: _grid(row.map),
+    "largest>": lambda row: small(row.largest),
+    "rms>": lambda row: small(row.rms),
+}
+SHADOW_COLUMNS: dict[str, Callable[[ShadowRow], str]] = {
+    "renderer": lambda row: row.renderer,
+    "shadows": lambda row: row.fineness,
+    "beside": lambda row: row.reference,
+    "mean>": lambda row: small(row.mean),
+    "largest>": lambda row: small(row.largest),
+    "seconds>": lambda row: f"{row.seconds:.2g}",
+}
+SCENE_COLUMNS: dict[str, Callable[[SceneRow], str]] = {
+    "scene": lambda row: row.scene,
+    "renderer": lambda row: row.renderer,
+    "tolerance>": lambda row: _named(row.tolerance),
+    "mean>": lambda row: small(row.mean),
+    "share>": lambda row: f"{row.share:.2%}",
+    "largest>": lambda row: small(row.largest),
+    "estimate>": lambda row: small(row.estimate),
+    "seconds>": lambda row: f"{row.seconds:.2g}",
+}
+SIGN_COLUMNS: dict[str, Callable[[SignRow], str]] = {
+    "attacked": lambda row: row.group,
+    "tolerance>": lambda row: _named(row.tolerance),
+    "network sees": lambda row: row.image,
+    "wrong signs>": lambda row: f"{row.wrong_signs:.1%}",
+    "by weight>": lambda row: f"{row.wrong_weight:.2%}",
+}
+ATTACK_COLUMNS: dict[str, Callable[[SuccessRow], str]] = {
+    "method": lambda row: row.method,
+    "renderer": lambda row: row.renderer,
+    "attacked": _groups,
+    "tolerance>": lambda row: _named(row.tolerance),
+    "verified>": lambda row: f"{row.verified} of {row.attacks}",
+    "rate>": lambda row: f"{row.rate_low:.0%}–{row.rate_high:.0%}",
+    "queries": lambda row: _interval(row.queries),
+    "seconds": lambda row: _interval(row.seconds),
+    "a step>": lambda row: f"{row.seconds_per_step:.2g}",
+    "budget>": lambda row: f"{row.max_steps} steps",
+}

@@ -242,6 +242,11 @@ class ShadingRow(BaseModel):
     both: Times | None = Field(None, description="seconds of an image and its gradient")
     note: str = Field("", description="what went wrong; empty: nothing")
 
+    @property
+    def object(self) -> str:
+        """The mesh without its folder, and the material."""
+        return f"{self.mesh.removeprefix('furniture/')}, {self.material}"
+
 
 def rows(of: Subject, enough: float) -> Iterator[ShadingRow]:
     """Every method on a subject, for about `enough` seconds for each time that is taken."""
