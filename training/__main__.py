@@ -1,21 +1,22 @@
 """`python -m training` divides the library's models and trains the networks that ship with the project."""
 
 import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from training.command_options import OUT, Out, Seed, progress_bars, settings_to_train
-from training.iep_command import iep
+if TYPE_CHECKING:
+    from rich.progress import Progress
 
-app = typer.Typer(
-    help="Train the networks that ship with the project.",
-    no_args_is_help=True,
-    rich_markup_mode="rich",
-    pretty_exceptions_enable=False,
-)
+    from services.settings import Settings
 
+OUT = Path("out/training")
+Out = Annotated[Path, typer.Option(help="Folder of the checkpoints, the weights and the cards.")]
+Seed = Annotated[int, typer.Option(min=0, help="Seed of the weights, the views and the batches.")]
 Minutes = Annotated[float | None, typer.Option(min=0.1, help="Train so long; the schedule follows the clock.")]
 Epochs = Annotated[
     int | None, typer.Option(min=1, help="Train so many times over all views, reproducible bit for bit.")
@@ -23,6 +24,16 @@ Epochs = Annotated[
 Export = Annotated[
     bool, typer.Option("--export", help="Train no more: write weights and cards from the checkpoint as it is.")
 ]
+Said = Callable[[str, float, float, str], None]
+LINE_SECONDS = 30.0
+"""Time between lines where the standard error is no terminal."""
+
+app = typer.Typer(
+    help="Train the networks that ship with the project.",
+    no_args_is_help=True,
+    rich_markup_mode="rich",
+    pretty_exceptions_enable=False,
+)
 
 
 @app.command(epilog="Example: [bold]python -m training split[/bold]")
@@ -33,8 +44,7 @@ def split(
     """Divide the library's models by family, and choose the classes inside the training models."""
     from client.console import err
     from client.specs import local_library
-    from training.making_split import make
-    from training.split import PATH, save
+    from training.split import PATH, make, save
 
     settings = settings_to_train()
     command = f"python -m training split --seed {seed}"
@@ -66,7 +76,59 @@ def resnet34(
     _train("resnet34", minutes, epochs, out, seed, export)
 
 
-app.command(epilog="Example: [bold]python -m training iep --seconds-budget 3600[/bold]")(iep)
+@app.command(epilog="Example: [bold]python -m training iep --seconds-budget 3600[/bold]")
+def iep(
+    seconds_budget: Annotated[
+        float | None, typer.Option(min=1, help="End after about so long, with everything saved, to go on later.")
+    ] = None,
+    scale: Annotated[
+        float, typer.Option(min=1e-4, max=1, help="Share of the recipe's scenes and steps, for a trial.")
+    ] = 1.0,
+    out: Out = OUT,
+    seed: Seed = 0,
+    processes: Annotated[
+        int | None, typer.Option(min=1, help="Processes that draw scenes, of 0.7 GB each; default: one for each core.")
+    ] = None,
+    check: Annotated[
+        bool, typer.Option("--check", help="Train nothing: measure a checkpoint on the test scenes again.")
+    ] = False,
+    weights: Annotated[
+        Path | None, typer.Option(help="The checkpoint to check; default: the one that ships with the project.")
+    ] = None,
+) -> None:
+    """Train IEP: draw scenes, train its parts, measure it. A training that ended early goes on where it was."""
+    from client.console import out as stdout
+    from client.specs import local_library
+    from services.errors import InvalidRequest
+    from training.iep.export import SHIPPED, write
+    from training.iep.export import check as checked
+    from training.iep.processes import cores
+    from training.iep.recipe import RECIPE
+    from training.iep.stages import Stages
+
+    if weights is not None and not check:
+        raise InvalidRequest("--weights", "it is for --check")
+    library = local_library(settings_to_train())
+    end = None if seconds_budget is None else time.monotonic() + seconds_budget
+
+    def over() -> bool:
+        return end is not None and time.monotonic() > end
+
+    drawing = processes or cores()
+    with _telling() as said:
+        if check:
+            found = checked(weights or SHIPPED, out / "iep", library, said, over, drawing)
+            lines = None if found is None else [found.summary, *found.disagreements]
+        else:
+            stages = Stages(RECIPE.scaled(scale), seed, out / "iep", library, said, over, drawing)
+            command = f"python -m training iep --seed {seed}" + ("" if scale == 1 else f" --scale {scale:g}")
+            lines = [write(stages, out, command, said).summary] if stages.run() else None
+    if lines is None:
+        stdout().print("not finished; the same command goes on", markup=False, highlight=False)
+        return
+    stdout().print("\n".join(lines), markup=False, highlight=False, soft_wrap=True)
+    if check and len(lines) > 1:
+        raise typer.Exit(1)
 
 
 def _train(name: str, minutes: float | None, epochs: int | None, out: Path, seed: int, export: bool) -> None:
@@ -78,9 +140,8 @@ def _train(name: str, minutes: float | None, epochs: int | None, out: Path, seed
     from services.errors import InvalidRequest
     from training.data import gather
     from training.export import write
-    from training.recipe import RECIPES, Budget
     from training.split import committed
-    from training.training import Report, Training, load_trained
+    from training.training import RECIPES, Budget, Report, Training, load_trained
 
     if not export and (minutes is None) == (epochs is None):
         raise InvalidRequest("--minutes", "give either --minutes or --epochs")
@@ -115,6 +176,50 @@ def _train(name: str, minutes: float | None, epochs: int | None, out: Path, seed
         trained = load_trained(recipe, len(chosen.classes), checkpoint)
         written = write(recipe, trained, chosen, library, cache, out, said)
     stdout().print(written.summary, markup=False, highlight=False)
+
+
+@contextmanager
+def _telling() -> Iterator[Said]:
+    """Shows progress bars, and lines now and then where there is no terminal."""
+    from rich.progress import TaskID
+
+    from client.console import err
+
+    steps: dict[str, TaskID] = {}
+    before = 0.0
+    with progress_bars() as progress:
+
+        def said(what: str, done: float, total: float, words: str) -> None:
+            nonlocal before
+            if what not in steps:
+                steps[what] = progress.add_task(what, total=total)
+            progress.update(steps[what], completed=done, total=total, description=f"{what}  {words}".strip())
+            if not err().is_terminal and (done >= total or time.monotonic() - before > LINE_SECONDS):
+                before = time.monotonic()
+                err().print(f"{what} {done:,.0f} of {total:,.0f}  {words}".strip(), markup=False, highlight=False)
+
+        yield said
+
+
+def progress_bars() -> "Progress":
+    """Returns progress bars on the standard error."""
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+    from client.console import err
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    return Progress(*columns, console=err())
+
+
+def settings_to_train() -> "Settings":
+    """The settings of the environment, by which this process and torch's threads are set up."""
+    import torch
+
+    from client.settings import settings_to_run
+
+    settings = settings_to_run()
+    torch.set_num_threads(settings.threads)
+    return settings
 
 
 def main() -> None:

@@ -13,9 +13,8 @@ from services.scenes.furniture_kinds import PREFIX
 from services.scenes.library import Library
 from training.batches import plain, shade
 from training.looks import default_looks, environment_look, looks
-from training.recipe import Recipe
 from training.teacher import features_of, load
-from training.training import Data
+from training.training import Data, Recipe
 from training.views import INPUT, Views, joined, training_cameras, views
 
 HINTS = 256

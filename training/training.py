@@ -1,14 +1,19 @@
-"""The training loop: batches, steps, checkpoints.
+"""The training of AlexNet and ResNet-34: recipes, the loop and its checkpoints, and AlexNet as it is trained.
 
 What a step does follows from the seed, the step's number and the state before it alone, so a training of a number of
 epochs that is killed and resumed ends in the same bits. Convolutions and products are computed in bfloat16, weights and
 their updates in float32.
+
+AlexNet has batch normalisation after each layer, and hidden matrices of low rank: without normalisation it learns
+slowly, and its hidden matrices hold 54 of its 57 million weights. After training the normalisation is folded into the
+layers and each pair of factors multiplied out, which gives AlexNet itself.
 """
 
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import cached_property
+from math import cos, pi
 from pathlib import Path
 from typing import Any
 
@@ -19,13 +24,75 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from services.errors import InvalidRequest
+from services.targets.networks.alexnet import CHANNELS, GRID, HIDDEN
 from services.targets.networks.resnet import ResNet
 from training import checkpoints
-from training.batches import as_in_default_scene, augmented, normalised, shade
-from training.distortions import distort
-from training.recipe import CALM, DEFAULT_SCENES, Budget, Recipe
-from training.trainable_alexnet import TrainableAlexNet
+from training.batches import as_in_default_scene, augmented, distort, normalised, shade
 from training.views import Views
+
+DEFAULT_SCENES = 0.8
+"""Share of the batches that show the default scene in the last part of a training."""
+CALM = 1 / 3
+"""Strength of the distortions of those batches."""
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """Settings of a training.
+
+    rate: the peak learning rate of AdamW. hints: weight of the loss on the teacher's features, which falls to 0 at
+    half of the training. default_from: the progress from which most batches show the default scene of one of the
+    renderers, which is what the network is judged on.
+    """
+
+    network: str
+    batch: int
+    rate: float
+    dropout: float = 0.0
+    hints: float = 0.0
+    weight_decay: float = 0.05
+    warm_up: float = 0.08
+    smoothing: float = 0.05
+    clip: float = 5.0
+    views: int = 24
+    looks: int = 256
+    default_from: float = 0.5
+
+    def rate_at(self, progress: float) -> float:
+        """Returns the learning rate at a progress in [0, 1]: a linear rise, then half a cosine down to 0."""
+        if progress < self.warm_up:
+            return self.rate * max(progress / self.warm_up, 1e-3)
+        return self.rate * 0.5 * (1 + cos(pi * min(1.0, (progress - self.warm_up) / (1 - self.warm_up))))
+
+    def hints_at(self, progress: float) -> float:
+        """Returns the weight of the hints at a progress in [0, 1]."""
+        return self.hints * max(0.0, 1 - 2 * progress)
+
+
+RECIPES = {
+    "alexnet": Recipe("alexnet", batch=64, rate=1.5e-3, dropout=0.2),
+    "resnet34": Recipe("resnet34", batch=64, rate=1.5e-3, hints=1.0),
+}
+
+
+@dataclass(frozen=True)
+class Budget:
+    """How long to train: exactly one of a number of minutes and a number of epochs is not None.
+
+    With epochs a training is reproducible bit for bit. With minutes its schedule follows the clock, so that it ends in
+    time whatever else the machine does.
+    """
+
+    minutes: float | None = None
+    epochs: int | None = None
+
+    def progress(self, step: int, steps_per_epoch: int, seconds: float) -> float:
+        """Returns the progress in [0, 1] after some steps and some seconds of training."""
+        if self.epochs is not None:
+            return min(1.0, step / (self.epochs * steps_per_epoch))
+        assert self.minutes is not None
+        return min(1.0, seconds / (60 * self.minutes))
+
 
 CHECKPOINT_SECONDS = 120.0
 """Time between checkpoints."""
@@ -237,3 +304,85 @@ def weights(trained: nn.Module) -> dict[str, Tensor]:
         for name, value in trained.state_dict().items()
         if not name.endswith("num_batches_tracked")
     }
+
+
+RANK = 256
+"""Rank of the hidden matrices."""
+CONVOLUTIONS = ((0, 3, 64, 11, 4, 2), (3, 64, 192, 5, 1, 2), (6, 192, 384, 3, 1, 1), (8, 384, CHANNELS, 3, 1, 1))
+LAST = (10, CHANNELS, CHANNELS, 3, 1, 1)
+"""Number in torchvision's sequence, input and output channels, kernel, stride and padding of each convolution."""
+POOLED = (0, 3, 10)
+"""Convolutions that max pooling follows."""
+HIDDEN_LAYERS = (1, 4)
+OUTPUT_LAYER = 6
+"""Numbers of the linear layers in torchvision's sequence."""
+
+
+class Hidden(nn.Module):
+    """A hidden layer: dropout, a matrix as the product of two, normalisation, ReLU."""
+
+    def __init__(self, inputs: int, dropout: float, rank: int):
+        super().__init__()
+        self.dropout = nn.Dropout(dropout)
+        self.right = nn.Linear(inputs, rank, bias=False)
+        self.left = nn.Linear(rank, HIDDEN, bias=False)
+        self.norm = nn.BatchNorm1d(HIDDEN)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Maps [B, inputs] to [B, HIDDEN]."""
+        y: Tensor = self.norm(self.left(self.right(self.dropout(x))))
+        return y.relu_()
+
+
+class TrainableAlexNet(nn.Module):
+    """Normalised images [B, 3, h, w] to logits [B, classes]; `folded` gives the weights of AlexNet."""
+
+    def __init__(self, classes: int, dropout: float, rank: int = RANK):
+        super().__init__()
+        layers: list[nn.Module] = []
+        for number, inputs, outputs, kernel, stride, padding in (*CONVOLUTIONS, LAST):
+            convolution = nn.Conv2d(inputs, outputs, kernel, stride, padding, bias=False)
+            nn.init.kaiming_normal_(convolution.weight, mode="fan_out", nonlinearity="relu")
+            layers += [convolution, nn.BatchNorm2d(outputs), nn.ReLU(inplace=True)]
+            if number in POOLED:
+                layers.append(nn.MaxPool2d(3, 2))
+        self.features = nn.Sequential(*layers)
+        self.avgpool = nn.AdaptiveAvgPool2d(GRID)
+        self.hidden = nn.Sequential(Hidden(CHANNELS * GRID[0] * GRID[1], dropout, rank), Hidden(HIDDEN, dropout, rank))
+        self.output = nn.Linear(HIDDEN, classes)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Maps normalised images [B, 3, h, w] to logits [B, classes]."""
+        logits: Tensor = self.output(self.hidden(self.avgpool(self.features(x)).flatten(1)))
+        return logits
+
+    @torch.no_grad()
+    def folded(self) -> dict[str, Tensor]:
+        """Returns AlexNet's weights under torchvision's names, float32.
+
+        A hidden matrix is a pair of factors: `<name>.left` [HIDDEN, rank] times `<name>.right` [rank, inputs].
+        """
+        state = {}
+        convolutions = [layer for layer in self.features if isinstance(layer, nn.Conv2d)]
+        norms = [layer for layer in self.features if isinstance(layer, nn.BatchNorm2d)]
+        for (number, *_), convolution, norm in zip((*CONVOLUTIONS, LAST), convolutions, norms, strict=True):
+            scale, shift = _affine(norm)
+            state[f"features.{number}.weight"] = convolution.weight.double() * scale[:, None, None, None]
+            state[f"features.{number}.bias"] = shift
+        for number, hidden in zip(HIDDEN_LAYERS, self.hidden, strict=True):
+            assert isinstance(hidden, Hidden)
+            scale, shift = _affine(hidden.norm)
+            state[f"classifier.{number}.weight.left"] = hidden.left.weight.double() * scale[:, None]
+            state[f"classifier.{number}.weight.right"] = hidden.right.weight
+            state[f"classifier.{number}.bias"] = shift
+        state[f"classifier.{OUTPUT_LAYER}.weight"] = self.output.weight
+        state[f"classifier.{OUTPUT_LAYER}.bias"] = self.output.bias
+        return {name: value.detach().float().contiguous() for name, value in state.items()}
+
+
+def _affine(norm: nn.BatchNorm1d | nn.BatchNorm2d) -> tuple[Tensor, Tensor]:
+    """Returns the scale and the shift of a normalisation in evaluation, float64."""
+    assert norm.running_var is not None
+    assert norm.running_mean is not None
+    scale = norm.weight.double() / (norm.running_var.double() + norm.eps).sqrt()
+    return scale, norm.bias.double() - norm.running_mean.double() * scale

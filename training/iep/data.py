@@ -1,29 +1,78 @@
-"""The data of a recipe: shards of drawn scenes and their questions, made where they are missing."""
+"""The data of a recipe, made where they are missing: shards of images of scenes, which are drawn as they are or varied
+as attacks vary them, with the scenes and questions in CLEVR's own formats.
+"""
 
 import hashlib
+import io
 import json
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from itertools import accumulate
+from math import exp, pi
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import safetensors.numpy
 from numpy.typing import NDArray
+from PIL import Image
+from safetensors import SafetensorError, safe_open
+from torch import Tensor
 
+from services import disk
 from services.errors import InvalidRequest
 from services.questions.executor import Facts
-from services.questions.generator import QuestionGenerator
+from services.questions.generator import QuestionFile, QuestionGenerator, QuestionRecord
+from services.rendering.color import to_bytes
+from services.rendering.factory import build
+from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
 from services.scenes.clevr.description import describe
 from services.scenes.clevr.generator import generate
+from services.scenes.clevr.records import Info, SceneFile, SceneRecord
+from services.scenes.description import Scene
 from services.scenes.library import Library
-from training.iep import shards
-from training.iep.drawing import coarse, draw, varied
+from services.scenes.resolve import ResolvedScene, resolve
 from training.iep.examples import Example, ObjectTruth
 from training.iep.processes import each
 from training.iep.recipe import SHARD, Part, Recipe, Split
+
+Bytes = NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class Shard:
+    """Some scenes, their images and their questions.
+
+    png: uint8, the files of the images behind each other. ends: int64, where each ends. written: the JSON of scenes and
+    questions.
+    """
+
+    png: Bytes
+    ends: NDArray[np.int64]
+    written: dict[str, str]
+
+    def __len__(self) -> int:
+        return len(self.ends)
+
+    @cached_property
+    def scenes(self) -> tuple[SceneRecord, ...]:
+        """The scenes."""
+        return SceneFile.model_validate_json(self.written["scenes"]).scenes
+
+    @cached_property
+    def questions(self) -> tuple[QuestionRecord, ...]:
+        """The questions about all scenes; the scenes' own `image_index` tells them apart."""
+        return QuestionFile.model_validate_json(self.written["questions"]).questions
+
+    def image(self, number: int) -> Bytes:
+        """Returns the image of a scene, uint8 [240, 320, 3]."""
+        start = int(self.ends[number - 1]) if number else 0
+        with Image.open(io.BytesIO(self.png[start : self.ends[number]].tobytes())) as file:
+            return np.asarray(file)
+
 
 VERSION = 1
 """Changes with what is drawn, so that data of an older version is not taken for it."""
@@ -76,21 +125,21 @@ class DataFolder:
         missing = [piece for piece in pieces if not self.path(piece).exists()]
         with closing(each(partial(self._drawn, library=library), missing, processes, over)) as made:
             for piece, shard in made:
-                shards.write(self.path(piece), shard, self._about(piece))
+                write_shard(self.path(piece), shard, self._about(piece))
                 done += piece.count
                 said("drawing scenes", done, total, f"{done:,} of {total:,}, {piece.part.renderer}")
         return done == total
 
     def digest(self, split: Split) -> str:
         """Returns the digest of a split: that of its shards' digests. Raises InvalidRequest("--out") for a bad one."""
-        found = [shards.digest(self.path(piece), self._about(piece)) for piece in self.pieces(split)]
+        found = [shard_digest(self.path(piece), self._about(piece)) for piece in self.pieces(split)]
         return hashlib.sha256("".join(found).encode()).hexdigest()
 
-    def read(self, piece: Piece) -> shards.Shard:
+    def read(self, piece: Piece) -> Shard:
         """Reads the shard of a piece. Raises InvalidRequest("--out") if it is damaged or of other settings."""
-        return shards.read(self.path(piece), self._about(piece))
+        return read_shard(self.path(piece), self._about(piece))
 
-    def read_all(self, split: Split) -> list[shards.Shard]:
+    def read_all(self, split: Split) -> list[Shard]:
         """Reads all shards of a split."""
         return [self.read(piece) for piece in self.pieces(split)]
 
@@ -107,7 +156,7 @@ class DataFolder:
         }
         return json.dumps(about)
 
-    def _drawn(self, piece: Piece, library: Library) -> shards.Shard:
+    def _drawn(self, piece: Piece, library: Library) -> Shard:
         recipe, part = self._recipe, piece.part
         asking = QuestionGenerator(self._seed)
         scenes, questions, images = [], [], []
@@ -121,13 +170,13 @@ class DataFolder:
             images.append(draw(described, part.renderer, library))
             questions += asking.ask(scene, recipe.questions)
             scenes.append(scene)
-        return shards.shard(scenes, questions, images)
+        return shard(scenes, questions, images)
 
 
 class Images:
     """The images of shards, by their number in all of them."""
 
-    def __init__(self, of: Sequence[shards.Shard]) -> None:
+    def __init__(self, of: Sequence[Shard]) -> None:
         self._places = [(one, number) for one in of for number in range(len(one))]
 
     def __len__(self) -> int:
@@ -141,12 +190,12 @@ class Images:
             raise InvalidRequest("--out", f"an image of the data cannot be read: {error}") from error
 
 
-def objects_of(of: Sequence[shards.Shard]) -> list[tuple[ObjectTruth, ...]]:
+def objects_of(of: Sequence[Shard]) -> list[tuple[ObjectTruth, ...]]:
     """Returns the objects of each scene."""
     return [tuple(ObjectTruth.of(record) for record in scene.objects) for one in of for scene in one.scenes]
 
 
-def examples_of(of: Sequence[shards.Shard]) -> Iterator[Example]:
+def examples_of(of: Sequence[Shard]) -> Iterator[Example]:
     """Yields the questions as examples; their images are numbered as in `Images`."""
     starts = accumulate((len(one) for one in of), initial=0)
     for one, start in zip(of, starts, strict=False):
@@ -154,3 +203,157 @@ def examples_of(of: Sequence[shards.Shard]) -> Iterator[Example]:
         for question in one.questions:
             number, known = facts[question.image_index]
             yield Example.of(number, question, known)
+
+
+COARSE = {"samples": 4, "texel_samples": 1}
+"""Samples of shadows of `coarse`: pyrender's images differ by 0.07/255 in the mean and take two thirds of the time,
+those of the torch renderer differ by 0.18/255 and take 0.6 of it."""
+BRIGHTER = 0.3
+"""Standard deviation of the logarithm of a varied light's energy; half as much for the light from all around."""
+MOVED = 0.5
+"""Standard deviation of each coordinate of a varied light's position: half of the jitter that every scene has."""
+TINTED = 0.04
+"""Standard deviation of each channel of a varied object's colour. CLEVR's nearest two, red and brown, are 0.23 apart
+in all."""
+ROUGHER = 0.1
+"""Standard deviation of a varied object's roughness; half as much of its being metallic."""
+
+
+def draw(scene: Scene, renderer: str, library: Library) -> Bytes:
+    """Returns the exact renderer's image of a scene, uint8 [height, width, 3]."""
+    return to_bytes(_image(resolve(scene, library), renderer)).numpy()
+
+
+def coarse(scene: Scene) -> Scene:
+    """Returns a scene with fewer samples of its shadows."""
+    assert scene.shadows is not None
+    return scene.model_copy(update={"shadows": scene.shadows.model_copy(update=COARSE)})
+
+
+def _image(scene: ResolvedScene, renderer: str) -> Tensor:
+    """Returns the exact renderer's image of a scene as it is, [height, width, 3] in [0,1]."""
+    if renderer == "pyrender":  # not by `build`, which checks that an object is in view: `generate` has seen to it
+        return PyrenderRenderer(scene, tolerance="exact").render({})[0]
+    return build(scene, renderer, tolerance="exact").render({})[0]
+
+
+def varied(scene: Scene, random: np.random.Generator) -> Scene:
+    """Returns a scene with other lights, a turned environment, and slightly other colours and surfaces of its objects.
+
+    The answers to questions stay the same.
+    """
+
+    def near(value: float, spread: float) -> float:
+        return min(1.0, max(0.0, value + spread * float(random.standard_normal())))
+
+    def brighter(value: float, spread: float) -> float:
+        return value * exp(spread * float(random.standard_normal()))
+
+    lights = scene.lights
+    points = [
+        point.model_copy(
+            update={
+                "energy": brighter(point.energy, BRIGHTER),
+                "position": tuple(float(x) for x in np.add(point.position, MOVED * random.standard_normal(3))),
+            }
+        )
+        for point in lights.points
+    ]
+    environment = lights.environment.model_copy(update={"rotation": float(random.uniform(-pi, pi))})
+    objects = [
+        one.model_copy(
+            update={
+                "color": tuple(near(channel, TINTED) for channel in one.color),
+                "roughness": near(one.roughness or 0.0, ROUGHER),
+                "metallic": near(one.metallic or 0.0, ROUGHER / 2),
+            }
+        )
+        for one in scene.objects
+    ]
+    return scene.model_copy(
+        update={
+            "objects": tuple(objects),
+            "lights": lights.model_copy(
+                update={
+                    "ambient": brighter(lights.ambient, BRIGHTER / 2),
+                    "points": tuple(points),
+                    "environment": environment,
+                }
+            ),
+        }
+    )
+
+
+def shard(scenes: Sequence[SceneRecord], questions: Sequence[QuestionRecord], images: Sequence[Bytes]) -> Shard:
+    """Returns the shard of some scenes; `images` are uint8 [240, 320, 3], of the scenes in their order."""
+    files = [_png(image) for image in images]
+    info = Info(split=scenes[0].split)
+    written = {
+        "scenes": SceneFile(info=info, scenes=tuple(scenes)).model_dump_json(by_alias=True, exclude_unset=True),
+        "questions": QuestionFile(info=info, questions=tuple(questions)).model_dump_json(exclude_unset=True),
+    }
+    png = np.frombuffer(b"".join(files), np.uint8)
+    return Shard(png, np.cumsum([len(file) for file in files], dtype=np.int64), written)
+
+
+def write_shard(path: Path, made: Shard, about: str) -> None:
+    """Writes a shard and, for `read` and `digest` to compare, what it is about."""
+    arrays: dict[str, NDArray[Any]] = {"png": made.png, "ends": made.ends}
+    metadata = made.written | {"about": about}
+    data = safetensors.numpy.save(arrays, metadata | {"sha256": _digest(arrays, metadata)})
+    disk.write(path, _in_order(data))
+
+
+def shard_digest(path: Path, about: str) -> str:
+    """Returns the digest that a file has of its contents. Raises InvalidRequest("--out") as `read` does."""
+    return _opened(path, about, ())[1]["sha256"]
+
+
+def read_shard(path: Path, about: str) -> Shard:
+    """Reads a file. Raises InvalidRequest("--out") if it is damaged, or about something else."""
+    arrays, metadata = _opened(path, about, ("ends", "png"))
+    sha256 = metadata.pop("sha256")
+    if _digest(arrays, metadata) != sha256:
+        raise _damaged(path, "its contents are not those of its digest")
+    return Shard(arrays["png"], arrays["ends"], {name: metadata[name] for name in ("scenes", "questions")})
+
+
+def _opened(path: Path, about: str, wanted: Sequence[str]) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:
+    try:
+        with safe_open(path, framework="np") as file:
+            metadata = dict(file.metadata() or {})
+            arrays = {name: file.get_tensor(name) for name in wanted}
+    except (SafetensorError, OSError) as error:
+        raise _damaged(path, str(error)) from error
+    if missing := {"scenes", "questions", "about", "sha256"} - set(metadata):
+        raise _damaged(path, f"it has no {', '.join(sorted(missing))}")
+    if metadata["about"] != about:
+        raise InvalidRequest("--out", f"{path} has {metadata['about']}, not {about}; move it away")
+    return arrays, metadata
+
+
+def _in_order(file: bytes) -> bytes:
+    """Returns a safetensors file with its metadata by name: the library writes them in another order each time."""
+    length = int.from_bytes(file[:8], "little")
+    header = json.loads(file[8 : 8 + length])
+    header["__metadata__"] = dict(sorted(header["__metadata__"].items()))
+    written = json.dumps(header, separators=(",", ":")).encode()
+    written += b" " * (-len(written) % 8)  # the arrays are aligned
+    return len(written).to_bytes(8, "little") + written + file[8 + length :]
+
+
+def _damaged(path: Path, why: str) -> InvalidRequest:
+    return InvalidRequest("--out", f"{path} is damaged ({why}); delete it, and it is made anew")
+
+
+def _digest(arrays: dict[str, NDArray[Any]], metadata: dict[str, str]) -> str:
+    found = hashlib.sha256(json.dumps(metadata, sort_keys=True).encode())
+    for name in sorted(arrays):
+        found.update(np.ascontiguousarray(arrays[name]).data)
+    return found.hexdigest()
+
+
+def _png(image: Bytes) -> bytes:
+    file = io.BytesIO()
+    Image.fromarray(image).save(file, "PNG")
+    return file.getvalue()

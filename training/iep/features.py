@@ -14,9 +14,8 @@ from services import disk
 from services.errors import InvalidRequest
 from services.rendering.color import from_bytes
 from services.targets.iep.engine import Trunk
-from training.iep.data import DataFolder, Images, Said
+from training.iep.data import DataFolder, Images, Said, Shard
 from training.iep.recipe import Split
-from training.iep.shards import Shard
 
 AT_ONCE = 20
 """Images that the trunk sees together."""

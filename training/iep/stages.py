@@ -20,8 +20,7 @@ from training.iep.engine_training import engine_step
 from training.iep.generator_training import generator_step
 from training.iep.loop import Report, Schedule, Step, TrainingLoop
 from training.iep.recipe import Recipe, Split
-from training.iep.trunk_training import ObjectFinder, hand_over, trunk_step
-from training.iep.views import AugmentedViews
+from training.iep.trunk_training import AugmentedViews, ObjectFinder, hand_over, trunk_step
 
 
 class Stages:

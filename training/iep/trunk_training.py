@@ -1,10 +1,11 @@
 """Trains the trunk to find objects' centres and attributes in its features; the heads for it are then thrown away.
 
 Where objects are and what they look like is known of rendered scenes, and all that a question can ask depends on it.
+The trunk is shown some images mirrored, and all of them brighter or darker and tinted.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -13,10 +14,12 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from services.rendering.color import from_bytes
 from services.scenes.clevr.records import ATTRIBUTES
-from services.targets.iep.engine import CHANNELS, GRID, STRIDE, Engine, Trunk
+from services.targets.iep.engine import CHANNELS, GRID, IMAGE, STRIDE, Engine, Trunk
+from training.iep.data import Images
+from training.iep.engine_training import mask_loss, occupancy
 from training.iep.examples import ObjectTruth
-from training.iep.losses import mask_loss, occupancy
 
 VALUES = tuple(value for values in ATTRIBUTES.values() for value in values)
 PLACE_WEIGHT = 1.0
@@ -135,3 +138,31 @@ def _by_attribute(there: Tensor) -> list[Tensor]:
     """Returns the scores of each attribute's values, from rows of all 18."""
     ends = np.cumsum([1, *(len(values) for values in ATTRIBUTES.values())]).tolist()
     return [there[:, start:end] for start, end in pairwise(ends)]
+
+
+BRIGHTER, TINTED = 0.1, 0.03
+"""Standard deviations of the logarithms of an image's factor and of each channel's."""
+
+
+class AugmentedViews:
+    """The images of scenes and their objects, changed at random; the truth stays true."""
+
+    def __init__(self, images: Images, objects: Sequence[Sequence[ObjectTruth]]) -> None:
+        self._images, self._objects = images, objects
+
+    def __call__(
+        self, chosen: NDArray[np.int64], random: np.random.Generator
+    ) -> tuple[Tensor, list[Sequence[ObjectTruth]]]:
+        """Returns images [B, 240, 320, 3] in [0,1] of the chosen scenes, and the objects of each."""
+        images, objects = from_bytes(torch.from_numpy(self._images(chosen))), [self._objects[k] for k in chosen]
+        for place in np.flatnonzero(random.random(len(chosen)) < 0.5):
+            images[place] = images[place].flip(1)
+            objects[place] = mirrored(objects[place])
+        brighter, tinted = (random.standard_normal((len(chosen), count)) for count in (1, 3))
+        factors = torch.from_numpy(np.exp(BRIGHTER * brighter + TINTED * tinted)).float()
+        return images.mul_(factors[:, None, None]).clamp_(0, 1), objects
+
+
+def mirrored(objects: Sequence[ObjectTruth]) -> list[ObjectTruth]:
+    """Returns the objects of an image whose left and right are exchanged."""
+    return [replace(one, column=IMAGE[1] - one.column) for one in objects]

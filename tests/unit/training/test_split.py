@@ -9,9 +9,23 @@ import torch
 from services.scenes.furniture import Model
 from services.scenes.furniture_kinds import PREFIX, kind_of
 from services.scenes.primitives import primitive
-from training.classes import CLASSES, FOLDS, Samples, choose, cross_validated, folds
-from training.families import distance, families, stem
-from training.split import AT_MOST, MIN_FAMILIES, MIN_HELD_OUT, Split, committed, divided
+from training.split import (
+    AT_MOST,
+    CLASSES,
+    FOLDS,
+    MIN_FAMILIES,
+    MIN_HELD_OUT,
+    Samples,
+    Split,
+    choose,
+    committed,
+    cross_validated,
+    distance,
+    divided,
+    families,
+    folds,
+    stem,
+)
 
 
 def _model(slug: str, creator: str, path: str) -> Model:

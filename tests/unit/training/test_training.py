@@ -8,9 +8,7 @@ from services.targets.weights_file import dequantize, load_into, quantize
 from training.batches import shade
 from training.data import gather
 from training.export import ARCHITECTURES
-from training.recipe import RECIPES, Budget
-from training.trainable_alexnet import TrainableAlexNet
-from training.training import Training, load_trained, weights
+from training.training import RECIPES, Budget, TrainableAlexNet, Training, load_trained, weights
 
 pytestmark = pytest.mark.slow
 

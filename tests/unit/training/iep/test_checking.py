@@ -16,8 +16,8 @@ from services.targets.iep.engine import Network
 from tests.unit.targets.iep import world
 from training.iep import checking
 from training.iep.checking import Outcome, answered, disagreements, figures
+from training.iep.data import shard
 from training.iep.examples import Example
-from training.iep.shards import shard
 
 
 class Known:

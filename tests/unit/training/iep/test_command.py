@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from services.errors import InvalidRequest
 from tests.unit.training.iep.small import RECIPE, SEED
-from training import iep_command
+from training import __main__
 from training.__main__ import app
 from training.iep import recipe
 
@@ -33,7 +33,7 @@ def test_the_command_goes_on_writes_the_checkpoint_and_checks_it(copied: Path, m
     (copied / "generator.checkpoint").unlink()
     with monkeypatch.context() as hurried:
         ticks = count(step=100.0)
-        hurried.setattr(iep_command, "time", SimpleNamespace(monotonic=lambda: next(ticks)))
+        hurried.setattr(__main__, "time", SimpleNamespace(monotonic=lambda: next(ticks)))
         code, said = run("--out", str(out), "--seed", str(SEED), "--seconds-budget", "10")
     assert (code, said) == (0, "not finished; the same command goes on\n")
     assert not (out / "iep.safetensors").exists()

@@ -10,7 +10,7 @@ from services.scenes.clevr.generator import generate, object_numbers, placed_in
 from services.scenes.clevr.records import RGB
 from services.scenes.library import Library
 from services.scenes.resolve import resolve
-from training.iep.drawing import coarse, draw, varied
+from training.iep.data import coarse, draw, varied
 
 RECORD = generate(2, 0, objects=(3, 3))
 SCENE = describe(RECORD)

@@ -7,9 +7,9 @@ import torch
 
 from services.targets.iep.engine import Engine
 from tests.unit.training.iep.conftest import Data
+from training.iep.checking import answers, by_family
 from training.iep.engine_training import EVERYTHING_FROM, Draw, chances, engine_step, execute
 from training.iep.loop import Schedule, TrainingLoop
-from training.iep.metrics import answers, by_family
 
 pytestmark = pytest.mark.slow
 

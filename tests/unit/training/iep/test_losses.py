@@ -6,8 +6,8 @@ import torch
 from services.questions.program import Node, Program
 from services.targets.iep.assembly import Question, assemble
 from services.targets.iep.engine import Engine
+from training.iep.engine_training import engine_loss, mask_loss, occupancy
 from training.iep.examples import Example
-from training.iep.losses import engine_loss, mask_loss, occupancy
 
 ANSWERS = ("yes", "no", *map(str, range(11)))
 FEWER = Program(

@@ -2,8 +2,8 @@ import pytest
 
 from services.questions.program import Node, Program
 from services.statistics import wilson
+from training.iep.checking import by_family, by_function
 from training.iep.examples import Example
-from training.iep.metrics import by_family, by_function
 
 COUNT = Program((Node("scene", (), ()), Node("filter_size", (0,), ("small",)), Node("count", (1,), ())))
 EXIST = Program((Node("scene", (), ()), Node("exist", (0,), ())))

@@ -3,7 +3,7 @@ import torch
 
 from services.scenes.clevr.records import ATTRIBUTES
 from training.iep.examples import ObjectTruth
-from training.iep.views import AugmentedViews
+from training.iep.trunk_training import AugmentedViews
 
 
 def test_the_objects_of_a_changed_view_are_where_their_pixels_are() -> None:
