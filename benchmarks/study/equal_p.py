@@ -4,7 +4,7 @@ A column is called "<attack>, p ≤ <limit in thousandths>". A success counts if
 exact image, is within the limit. All attacks of a network have the same views and the same budget of queries.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from benchmarks.study.curves import Panel, Series, figure
@@ -15,8 +15,6 @@ from services.analysis.campaign_table import Corners, Rate, corners, share_at
 BETWEEN = ", p ≤ "
 BUDGETS = (30, 100, 300, 1000)
 """Queries within which successes are stated, besides the whole budget."""
-BASELINE = "ZOO"
-"""Attacks whose name ends so are those that others are compared with."""
 
 
 @dataclass(frozen=True)
@@ -38,10 +36,6 @@ class Run:
         """Corners of the number of successes against queries."""
         return corners([job.queries for job in self.won])
 
-    def queries_for(self, successes: int) -> float | None:
-        """The queries of each view after which so many views have been fooled; None if never so many are."""
-        return next((at for at, count in self.by_queries if count >= successes), None)
-
 
 def runs(record: Record, target: str) -> list[Run]:
     """The runs on one network, in the order of the campaign. Raises ValueError for a column of another form of name."""
@@ -57,10 +51,9 @@ def runs(record: Record, target: str) -> list[Run]:
 
 
 def section(record: Record) -> str:
-    """The tables and sentences of all networks."""
+    """The table of all networks, and their curves."""
     parts = [_table(record)]
     for target in record.table().targets:
-        parts.append("\n".join(f"- {line}" for line in _compared(target, runs(record, target))))
         parts.append(f"![{title(target)}: success against p and against queries]({chart_name(target)})")
     return "\n\n".join(parts)
 
@@ -143,45 +136,3 @@ def _table(record: Record) -> str:
             )
     within = (f"{budget:,} queries" for budget in BUDGETS)
     return markdown(("network", "p ≤ ×10⁻³", "attack", *within, "all", "", "95 % interval"), rows, texts=3)
-
-
-def _compared(target: str, own: Sequence[Run]) -> list[str]:
-    """For each limit the attack that fools most views, beside each baseline."""
-    lines = []
-    for limit in sorted({run.limit for run in own}):
-        here = [run for run in own if run.limit == limit]
-        others = [run for run in here if not run.attack.endswith(BASELINE)]
-        if not others:
-            continue
-        best = max(others, key=lambda run: (len(run.won), -sum(job.queries or 0 for job in run.won)))
-        for baseline in (run for run in here if run.attack.endswith(BASELINE)):
-            lines.append(f"{title(target)}, p ≤ {limit:g} ×10⁻³: {_sentence(best, baseline)}")
-    return lines
-
-
-def _sentence(best: Run, baseline: Run) -> str:
-    count = len(baseline.won)
-    words = [f"{best.attack} fools {len(best.won)} of {len(best.jobs)} views, {baseline.attack} {count}"]
-    slow, fast = baseline.queries_for(count), best.queries_for(count)
-    if count and slow is not None and fast is not None:
-        fewer = f"{fast:,.0f} queries a view instead of {slow:,.0f}, {slow / fast:.1f} times fewer"
-        words.append(f"for {count} successes it takes {fewer}")
-    spent = _spent(best, baseline)
-    if spent is not None:
-        ours, theirs, fooled = spent
-        words.append(
-            f"on the views that {best.attack} fools it spends {ours:,} queries in all, {baseline.attack} {theirs:,}, "
-            f"and fools {fooled} of them: at least {theirs / ours:.1f} times as many"
-        )
-    return "; ".join(words) + "."
-
-
-def _spent(best: Run, baseline: Run) -> tuple[int, int, int] | None:
-    """On the views that `best` fools: the queries of both, and the number that the baseline fools; None if none."""
-    by_view: Mapping[tuple[str, float, int], Job] = {(job.mesh, job.azimuth, job.seed): job for job in baseline.jobs}
-    won = {id(job) for job in baseline.won}
-    pairs = [(job, by_view[key]) for job in best.won if (key := (job.mesh, job.azimuth, job.seed)) in by_view]
-    if not pairs:
-        return None
-    ours, theirs = (sum(pair[side].queries or 0 for pair in pairs) for side in (0, 1))
-    return ours, theirs, sum(id(other) in won for _, other in pairs)

@@ -4,8 +4,9 @@ answering on scenes after CLEVR (section 4.2).
 The parts of a page are written from the records in a folder. No figure is typed by hand.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from benchmarks.study import curves, equal_p, examples, tables
@@ -21,16 +22,6 @@ class Study:
 
 
 @dataclass(frozen=True)
-class Part:
-    """A part of a page, and the records that it is written from."""
-
-    write: Callable[[Study], str]
-    records: tuple[str, ...] = ()
-    says: bool = True
-    """Whether it says which of these are missing; of several parts in a row of the same records the first does."""
-
-
-@dataclass(frozen=True)
 class Page:
     """A page of docs/study and its curves.
 
@@ -42,41 +33,27 @@ class Page:
     name: str
     curves: Mapping[str, Callable[[Record, str], str]]
     with_examples: tuple[str, ...]
-    parts: Mapping[str, Part]
-
-    def study(self, folder: Path) -> Study:
-        """Reads a folder. Raises FileNotFoundError if it has none of the page's records."""
-        paths = {name: folder / f"{name}.json" for name in self.curves}
-        records = {name: load(path) for name, path in paths.items() if path.exists()}
-        if not records:
-            raise FileNotFoundError(f"{folder} has none of {', '.join(path.name for path in paths.values())}")
-        return Study(records, [one for one in examples.load(folder) if one.campaign in self.with_examples])
+    parts: Mapping[str, Callable[[Study], str]]
 
     def files(self, folder: Path) -> dict[str, str]:
         """The text of every file that follows from the results in a folder, by its name: the page and the curves.
 
-        Raises as `study` does.
+        Raises FileNotFoundError if a record is missing.
         """
-        study = self.study(folder)
+        records = {name: load(folder / f"{name}.json") for name in self.curves}
+        study = Study(records, [one for one in examples.load(folder) if one.campaign in self.with_examples])
         text = Path(__file__).with_name(self.name).read_text("utf-8")
         for name, part in self.parts.items():
             mark = "{{" + name + "}}"
             if text.count(mark) != 1:
                 raise ValueError(f"{self.name} must have {mark} once")
-            text = text.replace(mark, _part(study, part))
+            text = text.replace(mark, part(study))
         charts = {
             chart(name, target): self.curves[name](record, target)
-            for name, record in study.records.items()
+            for name, record in records.items()
             for target in record.table().targets
         }
         return {self.name: text, **charts}
-
-
-def _part(study: Study, part: Part) -> str:
-    """A part of the page; it names the campaigns of its records that have not been run, of which it has no figure."""
-    missing = [f"`examples/paper-{name}.json`" for name in part.records if name not in study.records]
-    said = f"*Not run yet: {' and '.join(missing)}.*" if missing else ""
-    return "\n\n".join(one for one in (said if part.says else "", part.write(study)) if one)
 
 
 def chart(name: str, target: str) -> str:
@@ -84,9 +61,14 @@ def chart(name: str, target: str) -> str:
     return f"{name}-{target}.svg"
 
 
-def of_one(name: str, write: Callable[[Record], str]) -> Callable[[Study], str]:
-    """A part of one record; empty if it is missing."""
-    return lambda study: write(study.records[name]) if name in study.records else ""
+def of(name: str, write: Callable[[Record], str]) -> Callable[[Study], str]:
+    """A part of one record."""
+    return lambda study: write(study.records[name])
+
+
+def of_all(names: Sequence[str], write: Callable[[Sequence[Record]], str]) -> Callable[[Study], str]:
+    """A part of several records."""
+    return lambda study: write([study.records[name] for name in names])
 
 
 def curves_of(*names: str) -> Callable[[Study], str]:
@@ -94,7 +76,6 @@ def curves_of(*names: str) -> Callable[[Study], str]:
     return lambda study: "\n\n".join(
         f"![{tables.title(target)}: successes against work, and mean curves]({chart(name, target)})"
         for name in names
-        if name in study.records
         for target in study.records[name].table().targets
     )
 
@@ -146,90 +127,53 @@ def foot(study: Study) -> str:
     )  # fmt: skip
 
 
-DIFFERENTIABLE, NONDIFFERENTIABLE, LITE0 = "differentiable", "nondifferentiable", "lite0"
-EQUAL_P = "equal-p"
-_BOTH = (DIFFERENTIABLE, LITE0)
+FIRST = ("differentiable", "lite0")
 """The records of the first table."""
-
-
-def _if_any(write: Callable[[list[Record]], str]) -> Callable[[Study], str]:
-    """A part of the records of the first table; empty if there is none."""
-
-    def part(study: Study) -> str:
-        found = [study.records[name] for name in _BOTH if name in study.records]
-        return write(found) if found else ""
-
-    return part
-
-
-def _orders(records: list[Record]) -> str:
-    return "\n".join(f"- {tables.orders(record, target)}" for record in records for target in record.table().targets)
-
-
 CLASSIFICATION = Page(
     name="classification.md",
     curves={
-        DIFFERENTIABLE: curves.differentiable,
-        LITE0: curves.differentiable,
-        NONDIFFERENTIABLE: curves.nondifferentiable,
-        EQUAL_P: equal_p.draw,
+        "differentiable": curves.differentiable,
+        "lite0": curves.differentiable,
+        "nondifferentiable": curves.nondifferentiable,
+        "equal-p": equal_p.draw,
     },
-    with_examples=(DIFFERENTIABLE, NONDIFFERENTIABLE),
+    with_examples=("differentiable", "nondifferentiable"),
     parts={
-        "views": Part(lambda study: tables.views(list(study.records.values()))),
-        "differentiable": Part(_if_any(tables.differentiable), _BOTH),
-        "orders": Part(_if_any(_orders), _BOTH, says=False),
-        "differentiable curves": Part(curves_of(*_BOTH), _BOTH, says=False),
-        "coverage": Part(_if_any(tables.by_coverage), _BOTH, says=False),
-        "confidence": Part(_if_any(tables.by_confidence), _BOTH, says=False),
-        "work": Part(_if_any(tables.work), _BOTH, says=False),
-        "nondifferentiable": Part(of_one(NONDIFFERENTIABLE, tables.nondifferentiable), (NONDIFFERENTIABLE,)),
-        "nondifferentiable curves": Part(curves_of(NONDIFFERENTIABLE), (NONDIFFERENTIABLE,), says=False),
-        "equal p": Part(of_one(EQUAL_P, equal_p.section), (EQUAL_P,)),
-        "examples": Part(shown),
-        "foot": Part(foot),
+        "views": lambda study: tables.views(list(study.records.values())),
+        "differentiable": of_all(FIRST, tables.differentiable),
+        "orders": of_all(FIRST, tables.orders),
+        "differentiable curves": curves_of(*FIRST),
+        "coverage": of_all(FIRST, tables.by_coverage),
+        "confidence": of_all(FIRST, tables.by_confidence),
+        "work": of_all(FIRST, tables.work),
+        "nondifferentiable": of("nondifferentiable", tables.nondifferentiable),
+        "nondifferentiable curves": curves_of("nondifferentiable"),
+        "equal p": of("equal-p", equal_p.section),
+        "examples": shown,
+        "foot": foot,
     },
 )
-
-
-VQA_DIFFERENTIABLE, VQA_NONDIFFERENTIABLE = "vqa-differentiable", "vqa-nondifferentiable"
-_FIRST, _SECOND = (VQA_DIFFERENTIABLE,), (VQA_NONDIFFERENTIABLE,)
-
-
-def _vqa_differentiable(record: Record) -> str:
-    return tables.differentiable([record], tables.VQA)
-
-
-def _vqa_orders(record: Record) -> str:
-    return "\n".join(f"- {tables.orders(record, target)}" for target in record.table().targets)
-
-
-def _vqa_nondifferentiable(record: Record) -> str:
-    return tables.nondifferentiable(record, tables.VQA)
-
-
+THROUGH_TORCH, THROUGH_PYRENDER = "vqa-differentiable", "vqa-nondifferentiable"
 VQA = Page(
     name="vqa.md",
-    curves={VQA_DIFFERENTIABLE: curves.questions, VQA_NONDIFFERENTIABLE: curves.nondifferentiable},
-    with_examples=(VQA_DIFFERENTIABLE, VQA_NONDIFFERENTIABLE),
+    curves={THROUGH_TORCH: curves.questions, THROUGH_PYRENDER: curves.nondifferentiable},
+    with_examples=(THROUGH_TORCH, THROUGH_PYRENDER),
     parts={
-        "views": Part(lambda study: tables.views(list(study.records.values()), of="scenes")),
-        "differentiable": Part(of_one(VQA_DIFFERENTIABLE, _vqa_differentiable), _FIRST),
-        "orders": Part(of_one(VQA_DIFFERENTIABLE, _vqa_orders), _FIRST, says=False),
-        "differentiable curves": Part(curves_of(VQA_DIFFERENTIABLE), _FIRST, says=False),
-        "confidence": Part(
-            of_one(VQA_DIFFERENTIABLE, lambda record: tables.by_confidence([record])), _FIRST, says=False
-        ),
-        "nondifferentiable": Part(of_one(VQA_NONDIFFERENTIABLE, _vqa_nondifferentiable), _SECOND),
-        "nondifferentiable curves": Part(curves_of(VQA_NONDIFFERENTIABLE), _SECOND, says=False),
-        "questions": Part(of_one(VQA_DIFFERENTIABLE, tables.by_question), _FIRST),
-        "questions nondifferentiable": Part(of_one(VQA_NONDIFFERENTIABLE, tables.by_question), _SECOND),
-        "kinds": Part(of_one(VQA_DIFFERENTIABLE, tables.left_kind), _FIRST),
-        "kinds nondifferentiable": Part(of_one(VQA_NONDIFFERENTIABLE, tables.left_kind), _SECOND, says=False),
-        "modules": Part(of_one(VQA_DIFFERENTIABLE, tables.fooled_first), _FIRST),
-        "modules nondifferentiable": Part(of_one(VQA_NONDIFFERENTIABLE, tables.fooled_first), _SECOND, says=False),
-        "examples": Part(shown),
-        "foot": Part(foot),
+        "views": lambda study: tables.views(list(study.records.values()), of="scenes"),
+        "differentiable": of_all([THROUGH_TORCH], partial(tables.differentiable, task=tables.VQA)),
+        "orders": of_all([THROUGH_TORCH], tables.orders),
+        "differentiable curves": curves_of(THROUGH_TORCH),
+        "confidence": of_all([THROUGH_TORCH], tables.by_confidence),
+        "nondifferentiable": of(THROUGH_PYRENDER, partial(tables.nondifferentiable, task=tables.VQA)),
+        "nondifferentiable curves": curves_of(THROUGH_PYRENDER),
+        "questions": of(THROUGH_TORCH, tables.by_question),
+        "questions nondifferentiable": of(THROUGH_PYRENDER, tables.by_question),
+        "kinds": of(THROUGH_TORCH, tables.left_kind),
+        "kinds nondifferentiable": of(THROUGH_PYRENDER, tables.left_kind),
+        "modules": of(THROUGH_TORCH, tables.fooled_first),
+        "modules nondifferentiable": of(THROUGH_PYRENDER, tables.fooled_first),
+        "examples": shown,
+        "foot": foot,
     },
 )
 
@@ -242,11 +186,8 @@ WITH_EXAMPLES = tuple(name for page in PAGES for name in page.with_examples)
 
 
 def write(folder: Path) -> list[Path]:
-    """Writes the pages that have a record in a folder, with their curves, and returns the paths of these files."""
-    written = []
-    for page in PAGES:
-        if any((folder / f"{name}.json").exists() for name in page.curves):
-            for name, text in page.files(folder).items():
-                (folder / name).write_text(text, "utf-8")
-                written.append(folder / name)
-    return written
+    """Writes the pages of a folder with their curves, and returns the paths of these files."""
+    written = {folder / name: text for page in PAGES for name, text in page.files(folder).items()}
+    for path, text in written.items():
+        path.write_text(text, "utf-8")
+    return list(written)

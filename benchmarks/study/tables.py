@@ -11,6 +11,7 @@ from statistics import median_low
 from typing import Any, get_args
 
 from benchmarks.study.record import Asked, Job, Record
+from services.accuracy import tables
 from services.analysis.campaign_table import Cell, Rate, share_at
 from services.questions.executor import KINDS, kind_of
 from services.questions.templates.families import Kind
@@ -42,9 +43,7 @@ def paper() -> dict[str, Any]:
 
 def markdown(columns: Iterable[str], rows: Iterable[Iterable[str]], texts: int = 1) -> str:
     """A table; the first `texts` columns are of text, the others of numbers."""
-    columns = list(columns)
-    rule = [":---" if index < texts else "---:" for index in range(len(columns))]
-    return "\n".join("| " + " | ".join(cells) + " |" for cells in (columns, rule, *rows))
+    return tables.markdown([name if number < texts else f"{name}>" for number, name in enumerate(columns)], rows)
 
 
 def ordered(targets: Iterable[str]) -> list[str]:
@@ -172,17 +171,23 @@ def views(records: Sequence[Record], of: str = "models") -> str:
     return markdown(columns, rows, texts=2)
 
 
-def orders(record: Record, target: str) -> str:
-    """The columns of a network from the highest to the lowest rate of success, and from the lowest to the highest p.
+def orders(records: Sequence[Record]) -> str:
+    """The columns of each network from the highest to the lowest rate of success, and from the lowest to the highest p.
 
     Attacks in another setting than the column's own are left out.
     """
-    cells = [cell for cell in record.table().cells if cell.target == target and ", " not in cell.attack]
-    by_success = sorted(cells, key=lambda cell: -(cell.success.rate or 0.0))
-    by_p = sorted((c for c in cells if c.perceptibility is not None), key=lambda cell: cell.perceptibility or 0.0)
-    success = _in_order([(cell.attack, _percent(cell.success.rate)) for cell in by_success], ">")
-    p = _in_order([(cell.attack, milli(cell.perceptibility)) for cell in by_p], "<")
-    return f"{title(target)}: {success} (per cent, verified); p {p} (×10⁻³)."
+    lines = []
+    for table in (record.table() for record in records):
+        for target in table.targets:
+            cells = [cell for cell in table.cells if cell.target == target and ", " not in cell.attack]
+            by_success = sorted(cells, key=lambda cell: -(cell.success.rate or 0.0))
+            by_p = sorted(
+                (c for c in cells if c.perceptibility is not None), key=lambda cell: cell.perceptibility or 0.0
+            )
+            success = _in_order([(cell.attack, _percent(cell.success.rate)) for cell in by_success], ">")
+            p = _in_order([(cell.attack, milli(cell.perceptibility)) for cell in by_p], "<")
+            lines.append(f"- {title(target)}: {success} (per cent, verified); p {p} (×10⁻³).")
+    return "\n".join(lines)
 
 
 def _in_order(named: Sequence[tuple[str, str]], sign: str) -> str:

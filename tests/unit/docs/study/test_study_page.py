@@ -20,18 +20,6 @@ TABLE_1 = {
 """Rows of the paper's first table as printed: per cent, then p ×10⁻³, of each of its five columns."""
 
 
-def test_a_campaign_that_has_not_been_run_is_named_and_has_no_figure(tmp_path: Path) -> None:
-    shutil.copyfile(SMALL / "differentiable.json", tmp_path / "differentiable.json")
-    page = files(tmp_path)[PAGE]
-    for name in ("lite0", "nondifferentiable", "equal-p"):
-        assert page.count(f"*Not run yet: `examples/paper-{name}.json`.*") == 1
-        assert f"({name}" not in page
-    assert "paper-differentiable.json`.*" not in page
-    assert row(page, "ResNet-34", "**verified**") == row(files(SMALL)[PAGE], "ResNet-34", "**verified**")
-    with pytest.raises(FileNotFoundError, match=r"has none of differentiable\.json"):
-        files(tmp_path / "empty")
-
-
 def row(page: str, first: str, second: str) -> list[str]:
     """The cells of the first table row after `first` whose second cell is `second`."""
     lines = page.splitlines()
@@ -115,27 +103,6 @@ def test_only_a_success_within_the_limit_counts_at_equal_p() -> None:
     run = equal_p.Run("ZOO", 20.0, jobs)
     assert [one.request for one in run.won] == ["a", "c"]
     assert run.by_queries == [(30.0, 1), (300.0, 2)]
-    assert [run.queries_for(count) for count in (1, 2, 3)] == [30.0, 300.0, None]
-
-
-def test_queries_are_compared_for_as_many_successes_and_on_the_same_views(tmp_path: Path) -> None:
-    """FGSM fools three views with 10, 20 and 30 queries; ZOO one of these with 400 and holds at 1,000 on the others."""
-    ours = [job(0.01, str(n), attack="FGSM, p ≤ 20", azimuth=n, queries=10 * (n + 1)) for n in range(3)]
-    held = {"attack": "ZOO, p ≤ 20", "outcome": "held", "verified": False}
-    theirs = [
-        job(0.01, "z0", attack="ZOO, p ≤ 20", azimuth=0, queries=400),
-        job(0.01, "z1", azimuth=1, queries=1000, **held),
-        job(0.01, "z2", azimuth=2, queries=1000, **held),
-    ]
-    whole = json.loads((SMALL / "equal-p.json").read_text("utf-8"))
-    whole["jobs"] = [one.model_dump(mode="json") for one in (*ours, *theirs)]
-    (tmp_path / "r.json").write_text(json.dumps(whole), "utf-8")
-    text = equal_p.section(load(tmp_path / "r.json"))
-    assert "FGSM fools 3 of 3 views, ZOO 1" in text
-    assert "for 1 successes it takes 10 queries a view instead of 400, 40.0 times fewer" in text
-    assert "spends 60 queries in all, ZOO 2,400, and fools 1 of them: at least 40.0 times as many" in text
-    rows = [line for line in text.splitlines() if " | ZOO | " in line]
-    assert [cell.strip() for cell in rows[0].split("|")][4:9] == ["0", "0", "0", "33", "**33**"]
 
 
 def test_the_columns_of_the_campaign_at_equal_p_say_their_limit_and_share_a_budget() -> None:
