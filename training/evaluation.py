@@ -4,7 +4,6 @@ import hashlib
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from math import sqrt
 from pathlib import Path
 
 import safetensors.numpy
@@ -28,8 +27,6 @@ SIZE = 224
 VIEWS = 6
 """Views of a model by each renderer, at the paper's elevation and distance, all around."""
 AT_ONCE = 48
-Z = 1.959964
-"""Standard normal quantile of a 95 % interval."""
 
 
 @dataclass(frozen=True)
@@ -67,16 +64,6 @@ def answers(network: nn.Module, images: Images) -> Tensor:
         x = F.interpolate(x, (INPUT, INPUT), mode="bilinear", antialias=True)
         found.append(network(x.contiguous(memory_format=torch.channels_last)).argmax(1))
     return torch.cat(found)
-
-
-def wilson(right: int, count: int) -> tuple[float, float]:
-    """Returns Wilson's 95 % interval of a share."""
-    if not count:
-        return 0.0, 1.0
-    share, z2 = right / count, Z * Z
-    middle = (share + z2 / (2 * count)) / (1 + z2 / count)
-    half = Z / (1 + z2 / count) * sqrt(share * (1 - share) / count + z2 / (4 * count * count))
-    return max(0.0, middle - half), min(1.0, middle + half)
 
 
 def clustered_error(right: Tensor, models: Tensor) -> float:

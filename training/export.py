@@ -13,11 +13,12 @@ from torch import Tensor, nn
 
 from services import disk
 from services.scenes.library import Library
+from services.statistics import wilson
 from services.targets.networks.alexnet import AlexNet
 from services.targets.networks.resnet import ResNet
 from services.targets.weights_file import dequantize, load_into, quantize, to_bytes
 from training.batches import MEAN, SCALE
-from training.evaluation import RENDERERS, VIEWS, Images, answers, clustered_error, confusion, held_out, wilson
+from training.evaluation import RENDERERS, VIEWS, Images, answers, clustered_error, confusion, held_out
 from training.split import AT_MOST, HELD_OUT, MIN_FAMILIES, MIN_HELD_OUT, MIN_MODELS, Split
 from training.training import DEFAULT_SCENES, Recipe, Trained, weights
 from training.views import INPUT

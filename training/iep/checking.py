@@ -1,7 +1,7 @@
 """What a checkpoint can do on scenes that it was never trained on: from the text of a question to its answer."""
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -55,23 +55,11 @@ def answers(engine: Engine, features: Tensor, examples: Sequence[Example], batch
 
 
 def by_family(examples: Sequence[Example], right: Sequence[bool]) -> dict[str, Share]:
-    """Returns the shares of right answers of each family, and overall, of one example at least."""
-    return {OVERALL: Share(sum(right), len(right))} | _grouped(examples, right, lambda example: {example.family})
-
-
-def by_function(examples: Sequence[Example], right: Sequence[bool]) -> dict[str, Share]:
-    """Returns the shares of right answers of the examples with each function in their programs."""
-    return _grouped(examples, right, lambda example: {node.label for node in example.program.nodes})
-
-
-def _grouped(
-    examples: Sequence[Example], right: Sequence[bool], names: Callable[[Example], set[str]]
-) -> dict[str, Share]:
-    counted: dict[str, list[bool]] = {}
+    """Returns the shares of right answers overall and of each family, of one example at least."""
+    families: dict[str, list[bool]] = {}
     for example, one in zip(examples, right, strict=True):
-        for name in names(example):
-            counted.setdefault(name, []).append(one)
-    return {name: Share(sum(of), len(of)) for name, of in sorted(counted.items())}
+        families.setdefault(example.family, []).append(one)
+    return {name: Share(sum(of), len(of)) for name, of in [(OVERALL, right), *sorted(families.items())]}
 
 
 AT_ONCE = 20
@@ -135,7 +123,14 @@ def figures(found: Sequence[Outcome]) -> dict[str, Any]:
     share of right programs."""
     groups = sorted({one.group for one in found}, key=lambda group: [int(end) for end in group.split("-")])
     return {
-        "answers": {group: _by_family([one for one in found if one.group == group]) for group in groups},
+        "answers": {
+            group: {
+                name: _written(share)
+                for name, share in by_family([one.example for one in own], [one.right for one in own]).items()
+            }
+            for group in groups
+            if (own := [one for one in found if one.group == group])
+        },
         "by_renderer": {
             name: _written(Share(sum(one.right for one in found if one.renderer == name), count))
             for name, count in sorted(Counter(one.renderer for one in found).items())
@@ -159,11 +154,6 @@ def _flat(value: Mapping[str, Any], name: str = "") -> list[tuple[str, Mapping[s
     if "wilson" in value:
         return [(name, value)]
     return [one for key, of in value.items() for one in _flat(of, f"{name} {key}".strip())]
-
-
-def _by_family(found: Sequence[Outcome]) -> dict[str, dict[str, Any]]:
-    shares = by_family([one.example for one in found], [one.right for one in found])
-    return {OVERALL: _written(shares.pop(OVERALL))} | {name: _written(share) for name, share in shares.items()}
 
 
 def _written(share: Share) -> dict[str, Any]:

@@ -1,16 +1,9 @@
 import pytest
 import torch
-from scipy.stats import binomtest
 
-from training.evaluation import Images, clustered_error, confusion, wilson
+from training.evaluation import Images, clustered_error, confusion
 from training.export import measured
 from training.split import committed
-
-
-@pytest.mark.parametrize(("right", "count"), [(0, 7), (7, 7), (3, 11), (80, 100)])
-def test_intervals_are_wilsons(right, count):
-    wanted = binomtest(right, count).proportion_ci(method="wilson")
-    assert wilson(right, count) == pytest.approx((wanted.low, wanted.high), abs=1e-6)
 
 
 def test_errors_are_those_of_the_models_means():

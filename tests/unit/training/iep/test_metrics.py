@@ -2,14 +2,14 @@ import pytest
 
 from services.questions.program import Node, Program
 from services.statistics import wilson
-from training.iep.checking import by_family, by_function
+from training.iep.checking import by_family
 from training.iep.examples import Example
 
 COUNT = Program((Node("scene", (), ()), Node("filter_size", (0,), ("small",)), Node("count", (1,), ())))
 EXIST = Program((Node("scene", (), ()), Node("exist", (0,), ())))
 
 
-def test_shares_are_counted_by_family_and_by_function() -> None:
+def test_shares_are_counted_by_family() -> None:
     examples = [
         Example(0, "", program, (), family)
         for program, family in ((COUNT, "count"), (COUNT, "count"), (COUNT, "count"), (EXIST, "exist"))
@@ -22,7 +22,3 @@ def test_shares_are_counted_by_family_and_by_function() -> None:
     }
     assert families["count"].share == pytest.approx(2 / 3)
     assert families["count"].interval == wilson(2, 3)
-    functions = by_function(examples, [True, False, True, False])
-    assert (functions["scene"].right, functions["scene"].of) == (2, 4)
-    assert (functions["filter_size[small]"].right, functions["filter_size[small]"].of) == (2, 3)
-    assert (functions["exist"].right, functions["exist"].of) == (0, 1)
