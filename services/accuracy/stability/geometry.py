@@ -2,6 +2,7 @@
 pixel, of millions, and of one row.
 """
 
+from collections.abc import Callable
 from math import cos, pi, sin, tan
 from typing import Any
 
@@ -108,19 +109,19 @@ def _refused(thing: dict[str, Any], camera: dict[str, Any] | None = None) -> Mea
     return Measured(1.0, 0.0, "scenes resolved")
 
 
+def _seen(mesh: str = "primitive/cube", **given: Any) -> Callable[[], Measured]:
+    """A measurement of a scene against rays; `given` as for `placed`."""
+    return lambda: against_rays(placed(mesh, **given))
+
+
 def view_cases() -> list[Case]:
     """The cases of this family."""
-    rays = "coverage, depth, normals and colours as rays have them"
+    rays, hidden = "coverage, depth, normals and colours as rays have them", "scene.objects.0"
     filled = "all covered, the surface as rays have it, pyrender's image by its formula"
     front, refused = {"azimuth": 0.0, "elevation": 0.0}, "a clear error names the object"
     floor = {"rotation": (-pi / 2, 0, 0), "translation": (0, -0.5, 0), "scale": 100.0}
     return [
-        Case(
-            "three pixels across",
-            "scale 0.1 in 32²",
-            rays,
-            lambda: against_rays(placed("primitive/cube", size=(32, 32), thing={"scale": 0.1})),
-        ),
+        Case("three pixels across", "scale 0.1 in 32²", rays, _seen(size=(32, 32), thing={"scale": 0.1})),
         Case(
             "filling the frame",
             "0.03 in front of the camera",
@@ -137,53 +138,34 @@ def view_cases() -> list[Case]:
             "cut by the near plane",
             "a floor from behind the camera to far",
             rays,
-            lambda: against_rays(placed("primitive/plane", camera=front, thing=floor)),
+            _seen("primitive/plane", camera=front, thing=floor),
         ),
         Case(
             "cube around the near plane",
             "a corner 1e-3 from the eye",
             rays,
-            lambda: against_rays(
-                placed("primitive/cube", size=(16, 16), camera=front, thing={"translation": (0.1, 0.1, 1.45)})
-            ),
+            _seen(size=(16, 16), camera=front, thing={"translation": (0.1, 0.1, 1.45)}),
         ),
         Case(
             "out of view",
             "beside the frame",
             refused,
             lambda: _refused(thing={"translation": (50, 0, 0)}),
-            refusal="scene.objects.0",
+            refusal=hidden,
         ),
         Case(
-            "behind the camera",
-            "w < 0",
-            refused,
-            lambda: _refused({"translation": (0, 0, 5)}, front),
-            refusal="scene.objects.0",
+            "behind the camera", "w < 0", refused, lambda: _refused({"translation": (0, 0, 5)}, front), refusal=hidden
         ),
-        Case(
-            "less than a pixel",
-            "scale 1e-3",
-            refused,
-            lambda: _refused(thing={"scale": 1e-3}),
-            refusal="scene.objects.0",
-        ),
+        Case("less than a pixel", "scale 1e-3", refused, lambda: _refused(thing={"scale": 1e-3}), refusal=hidden),
         Case("straight above", "elevation π/2", rays, lambda: _pole(pi / 2)),
         Case("straight below", "elevation −π/2", rays, lambda: _pole(-pi / 2)),
         Case(
             "telephoto",
             "0.02 radians from 100 away",
             rays,
-            lambda: against_rays(
-                placed("primitive/torus", camera={"distance": 100.0, "field_of_view": 0.015}, size=(12, 12))
-            ),
+            _seen("primitive/torus", camera={"distance": 100.0, "field_of_view": 0.015}, size=(12, 12)),
         ),
-        Case(
-            "fish eye",
-            "2.8 radians from 0.8 away",
-            rays,
-            lambda: against_rays(placed("primitive/cube", camera={"distance": 0.9, "field_of_view": 2.8})),
-        ),
+        Case("fish eye", "2.8 radians from 0.8 away", rays, _seen(camera={"distance": 0.9, "field_of_view": 2.8})),
     ]
 
 

@@ -151,7 +151,7 @@ def logit_cases() -> list[Case]:
     """The cases of this family."""
     way, none = "the gradient is that of the log-odds", "a clear error names the target"
     stopped = "the job ends, and says that its numbers are not finite"
-    nan, inf = float("nan"), float("inf")
+    nan, inf, target = float("nan"), float("inf"), "target.name"
     return [
         Case("margin of 20", "p = 1 − 2e-9: float32 has lost it", way, lambda: _margin(20.0)),
         Case("margin of 90", "exp(90) overflows float32", way, lambda: _margin(90.0)),
@@ -163,26 +163,10 @@ def logit_cases() -> list[Case]:
         Case("two tied", "no first answer", "the first of equals is the answer, in any batch", _tied),
         Case("1000 tied", "no first answer", "the first of equals is the answer", _all_tied),
         Case("two classes", "one other answer", "log-odds are z₀ − z₁", _two),
+        Case("one class, its gradient", "no other answer", none, lambda: _one(ResolvedGoal.objective), refusal=target),
+        Case("one class, its advantage", "no other answer", none, lambda: _one(ResolvedGoal.advantage), refusal=target),
         Case(
-            "one class, its gradient",
-            "no other answer",
-            none,
-            lambda: _one(ResolvedGoal.objective),
-            refusal="target.name",
-        ),
-        Case(
-            "one class, its advantage",
-            "no other answer",
-            none,
-            lambda: _one(ResolvedGoal.advantage),
-            refusal="target.name",
-        ),
-        Case(
-            "one class, attacked",
-            "no other answer",
-            none,
-            lambda: _attacked(linear_network(classes=1)),
-            refusal="target.name",
+            "one class, attacked", "no other answer", none, lambda: _attacked(linear_network(classes=1)), refusal=target
         ),
         Case("NaN score", "not a number", stopped, lambda: _not_numbers(nan), refusal="non-finite"),
         Case("infinite score", "not a number", stopped, lambda: _not_numbers(inf), refusal="non-finite"),

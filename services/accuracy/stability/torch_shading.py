@@ -252,6 +252,7 @@ def _held(by: float) -> Measured:
 def lobe_cases() -> list[Case]:
     """The cases of this family."""
     same = "the loop's image is within its tolerance, the exact image within rounding"
+    gradient = "the gradient is that of the definition"
     return [
         Case(
             "κ 1e4, γ 1",
@@ -272,18 +273,8 @@ def lobe_cases() -> list[Case]:
         Case("κ 0.5, γ 300", "a glossy lobe, not clipped", same, lambda: _lobe_image(0.5, 300)),
         Case("κ 0.3, γ 1e-3", "γ → 0: a Lambertian body", same, lambda: _lobe_image(0.3, 1e-3)),
         Case("κ → 0", "exp(x) − 1 for x = 1e-6", "no digits are lost in the difference", _dark),
-        Case(
-            "gradient, κ 4, γ 300",
-            "a steep lobe",
-            "the gradient is that of the definition",
-            lambda: _gradient_of_lobes(4, 300),
-        ),
-        Case(
-            "gradient, κ 0.3, γ 1",
-            "a flat lobe",
-            "the gradient is that of the definition",
-            lambda: _gradient_of_lobes(0.3, 1),
-        ),
+        Case("gradient, κ 4, γ 300", "a steep lobe", gradient, lambda: _gradient_of_lobes(4, 300)),
+        Case("gradient, κ 0.3, γ 1", "a flat lobe", gradient, lambda: _gradient_of_lobes(0.3, 1)),
         *(
             Case(f"red {name}", "the body's colour has no blue", what, partial(_gloss, name))
             for name, what in (
@@ -296,7 +287,7 @@ def lobe_cases() -> list[Case]:
             Case(
                 f"gradient by {group}, red paint",
                 "two layers, one without colour",
-                "the gradient is that of the definition",
+                gradient,
                 partial(_gloss_gradient, group),
             )
             for group in ("material", "illumination_rgb")
