@@ -37,8 +37,8 @@ import aiohttp
 import httpx
 import psycopg
 
-from benchmarks.chaos.client import ENDED, Client
-from benchmarks.chaos.jobs import mixed, requests
+from benchmarks.chaos.counts import ENDED, Client
+from benchmarks.chaos.load import mixed, requests
 from benchmarks.chaos.service import Service
 from benchmarks.filled_record import fill
 from benchmarks.postgresql import Server

@@ -1,16 +1,101 @@
-"""What a run found: what became of its jobs, and how they compare with undisturbed ones."""
+"""What a run found: what became of its jobs, how they compare with undisturbed ones, how long they stood still, and
+from which step they went on. The client that asks goes on while the service dies and comes back.
+"""
 
+import hashlib
 import json
+import time
 from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from statistics import median
 from typing import Any
 
+import httpx
 from sqlalchemy import func, select
 
-from benchmarks.chaos.client import Client, differences
 from benchmarks.chaos.faults import Fault
-from benchmarks.chaos.recovery import gaps, recovery
-from services.jobs.models import Job, JobKind
+from benchmarks.chaos.service import BACKEND, DATABASE, POSTMASTER
+from services.jobs.models import Event, Job, JobKind
 from services.jobs.record import Record
+
+ENDED = ("succeeded", "failed", "rejected", "cancelled")
+PAUSE = 0.2
+"""Time between two tries, in seconds."""
+
+
+class Client:
+    """Asks the service at `url` until it answers, at most for `patience` seconds. `errors` counts other answers."""
+
+    def __init__(self, url: str, patience: float) -> None:
+        self._http = httpx.Client(base_url=url, timeout=20, trust_env=False)
+        self._patience = patience
+        self.errors: Counter[str] = Counter()
+
+    def close(self) -> None:
+        """Closes the connections."""
+        self._http.close()
+
+    def submit(self, request: dict[str, Any], key: str) -> str:
+        """Submits a job and returns its id. The same key makes one job, however often the service dies meanwhile."""
+        return str(self._ask("POST", "/v1/jobs", json=request, headers={"Idempotency-Key": key}).json()["id"])
+
+    def job(self, job_id: str) -> dict[str, Any]:
+        """A job with its result."""
+        found: dict[str, Any] = self._ask("GET", f"/v1/jobs/{job_id}").json()
+        return found
+
+    def cancel(self, job_id: str) -> None:
+        """Asks a job to stop."""
+        self._ask("POST", f"/v1/jobs/{job_id}/cancel")
+
+    def files(self, job_id: str) -> dict[str, str]:
+        """The contents of a job's files by name: records as JSON without the times in them, others as their SHA-256."""
+        found = {}
+        for item in self._ask("GET", f"/v1/jobs/{job_id}/artifacts").json()["items"]:
+            name = item["name"]
+            data = self._ask("GET", f"/v1/jobs/{job_id}/artifacts/{name}").content
+            if name.endswith(".json"):
+                found[name] = json.dumps(without_times(json.loads(data)), sort_keys=True)
+            else:
+                found[name] = hashlib.sha256(data).hexdigest()
+        return found
+
+    def _ask(self, method: str, path: str, **request: Any) -> httpx.Response:
+        deadline = time.monotonic() + self._patience
+        while True:
+            try:
+                answer = self._http.request(method, path, **request)
+            except httpx.TransportError as error:
+                said = type(error).__name__
+            else:
+                if answer.is_success:
+                    return answer
+                said = str(answer.status_code)
+                if answer.is_client_error:
+                    raise RuntimeError(f"{method} {path}: {said} {answer.text[:500]}")
+            self.errors[said] += 1
+            if time.monotonic() > deadline:
+                raise TimeoutError(f"{method} {path}: {said}")
+            time.sleep(PAUSE)
+
+
+def differences(one: Any, other: Any, where: str = "") -> list[str]:
+    """The places where two records differ, each with both values."""
+    if isinstance(one, dict) and isinstance(other, dict):
+        names = sorted(one.keys() | other.keys())
+        return [said for name in names for said in differences(one.get(name), other.get(name), f"{where}.{name}")]
+    if isinstance(one, list) and isinstance(other, list) and len(one) == len(other):
+        pairs = enumerate(zip(one, other, strict=True))
+        return [said for n, (a, b) in pairs for said in differences(a, b, f"{where}.{n}")]
+    return [] if one == other else [f"{where}: {str(one)[:80]} not {str(other)[:80]}"]
+
+
+def without_times(found: Any) -> Any:
+    """A record without its seconds, which differ from run to run."""
+    if isinstance(found, dict):
+        return {name: without_times(value) for name, value in found.items() if name != "seconds"}
+    return [without_times(value) for value in found] if isinstance(found, list) else found
 
 
 def counts(client: Client, record: Record, ids: list[str], undisturbed: list[dict[str, str]]) -> dict[str, Any]:
@@ -69,3 +154,72 @@ def _recorded(record: Record) -> int:
 def recoveries(record: Record, ids: list[str], faults: list[Fault]) -> dict[str, Any]:
     """How long the jobs stood still after faults of each kind, and from where they went on."""
     return recovery([gap for job_id in ids for gap in gaps(record.jobs.events(job_id, 0, limit=10**6))], faults)
+
+
+HOLDING = ("worker.job_process", "worker.rq_worker", "supervisor", DATABASE, POSTMASTER, BACKEND)
+"""What a running job stands still without."""
+NEAR = 1.0
+"""Seconds by which the last report before a fault may lie after it: reports are written a moment later."""
+
+
+@dataclass(frozen=True)
+class Gap:
+    """The time in which a job stood still: from its last report before an attempt was lost to the first after.
+
+    `worked` is how long the lost attempt had taken steps, in seconds. `reached` is its last step, and `resumed` the
+    first of the next attempt: 0 if that began again.
+    """
+
+    began: float
+    ended: float
+    worked: float
+    reached: int
+    resumed: int
+
+
+def gaps(events: Iterable[Event]) -> list[Gap]:
+    """The gaps between the attempts of a job."""
+    found = []
+    first: float | None = None
+    last, reached = 0.0, 0
+    waiting = False
+    for event in events:
+        at = event.created_at.timestamp()
+        if event.kind == "progress" and event.data["phase"] != "loading":
+            rows = event.data.get("rows") or [{"step": event.data["step"]}]
+            if waiting and first is not None:
+                found.append(Gap(last, at, last - first, reached, rows[0]["step"]))
+            if waiting or first is None:
+                first = at
+            last, reached, waiting = at, rows[-1]["step"], False
+        elif event.kind == "state" and event.data["state"] == "queued" and first is not None:
+            waiting = True
+    return found
+
+
+def recovery(found: Sequence[Gap], faults: Sequence[Fault]) -> dict[str, dict[str, float]]:
+    """For each kind of fault and target, the number of gaps that began with one, their median and longest seconds, how
+    many attempts went on from a checkpoint, and how long those at most had worked that began again.
+
+    A gap with further such faults in it is left out, since it says how long several of them took.
+    """
+    hit: dict[str, list[tuple[Gap, float]]] = {}
+    for gap in found:
+        within = [one for one in faults if one.target in HOLDING and gap.began - NEAR <= one.at <= gap.ended]
+        if len(within) == 1:
+            [fault] = within
+            hit.setdefault(f"{fault.kind} {fault.target}", []).append((gap, gap.ended - max(gap.began, fault.at)))
+    return {name: _summary(all_) for name, all_ in sorted(hit.items())}
+
+
+def _summary(hit: Sequence[tuple[Gap, float]]) -> dict[str, float]:
+    seconds = [time for _, time in hit]
+    again = [gap.worked for gap, _ in hit if gap.resumed == 0]
+    return {
+        "gaps": len(hit),
+        "median s": round(median(seconds), 1),
+        "longest s": round(max(seconds), 1),
+        "from a checkpoint": len(hit) - len(again),
+        "most steps repeated": max(gap.reached + 1 - gap.resumed for gap, _ in hit),
+        "longest s of steps before one began again": round(max(again, default=0.0), 1),
+    }

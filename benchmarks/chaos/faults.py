@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import psutil
 
-from benchmarks.chaos.databases import DATABASE, Database
-from benchmarks.chaos.service import Service
+from benchmarks.chaos.service import DATABASE, Database, Service
 
 RUNNING = ("worker.job_process", "worker.rq_worker")
 """What runs jobs. They are hit while a job takes steps."""

@@ -1,4 +1,7 @@
-"""One run: jobs are submitted while their service is hit, and every one is compared with an undisturbed one."""
+"""One run: jobs are submitted while their service is hit, and every one is compared with an undisturbed one.
+
+The jobs are small enough to run many: attacks with and without gradients, on the image and through both renderers.
+"""
 
 import random
 import tempfile
@@ -15,12 +18,9 @@ from sqlalchemy import Engine, func, select
 from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.sql.elements import ColumnElement
 
-from benchmarks.chaos.client import Client
-from benchmarks.chaos.counts import counts, recoveries
-from benchmarks.chaos.databases import DATABASE, Database, Postgresql, Sqlite
+from benchmarks.chaos.counts import Client, counts, recoveries
 from benchmarks.chaos.faults import PATIENCE, RUNNING, Fault, hit, keep_away, plan
-from benchmarks.chaos.jobs import mixed, requests
-from benchmarks.chaos.service import Service
+from benchmarks.chaos.service import DATABASE, Database, Postgresql, Service, Sqlite
 from services.jobs.database import connect
 from services.jobs.models import Job, State
 from services.jobs.record import Record
@@ -188,3 +188,33 @@ def _count(engine: Engine, *where: ColumnElement[bool]) -> int:
                 return connection.scalar(select(func.count()).select_from(Job).where(*where)) or 0
         except SQLAlchemyError:
             time.sleep(0.2)
+
+
+def _scene(mesh: str, size: int = 64) -> dict[str, Any]:
+    return {"camera": {"size": [size, size]}, "objects": [{"mesh": mesh}]}
+
+
+def _held(steps: int, **attack: Any) -> dict[str, Any]:
+    """An attack that takes all its steps: towards a label that it cannot reach with steps so small."""
+    return {"goal": {"reach": "tench"}, "attack": {"steps": steps, **attack}}
+
+
+def mixed(steps: int) -> list[dict[str, Any]]:
+    """The requests of one job of each kind; the longest ones take `steps` steps."""
+    image = {"renderer": "image", "base_renderer": "pyrender"}
+    tiny = {"learning_rate": {"image": 1e-6}}
+    sphere, cube = _scene("primitive/sphere"), _scene("primitive/cube")
+    return [
+        {"scene": sphere, "attack": image | {"steps": 3}},
+        {"scene": sphere, **_held(steps, **image, **tiny)},
+        {"scene": cube, **_held(steps // 2, **image, method="mi-fgsm", **tiny)},
+        {"scene": cube, **_held(steps // 4, renderer="torch", groups=["normals"])},
+        {"scene": sphere, **_held(steps // 4, renderer="pyrender", groups=["illumination"], method="zoo")},
+        {"scene": sphere, **_held(steps // 4, **image, method="square")},
+    ]
+
+
+def requests(count: int, steps: int) -> list[dict[str, Any]]:
+    """`count` requests, of each kind in turn."""
+    kinds = mixed(steps)
+    return [kinds[number % len(kinds)] for number in range(count)]

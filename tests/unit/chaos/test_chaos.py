@@ -2,10 +2,9 @@ from collections import Counter
 from datetime import UTC, datetime
 from typing import Any
 
-from benchmarks.chaos.client import differences, without_times
-from benchmarks.chaos.databases import BACKEND, DATABASE, POSTMASTER
+from benchmarks.chaos.counts import Gap, differences, gaps, recovery, without_times
 from benchmarks.chaos.faults import OTHERS, RUNNING, Fault, plan
-from benchmarks.chaos.recovery import Gap, gaps, recovery
+from benchmarks.chaos.service import BACKEND, DATABASE, POSTMASTER
 from services.jobs.models import Event
 
 
