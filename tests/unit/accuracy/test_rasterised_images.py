@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from services.accuracy.rasterised_images import beyond, compare, scenes
+from benchmarks.rasterised_images import beyond, compare, scenes
 from services.scenes.library import Library
 from services.settings import Settings
 

@@ -1,7 +1,5 @@
 """Compares the images that the rasteriser draws in attacks with OpenGL's: no error may exceed the plan's estimate.
 
-    python -m services.accuracy.rasterised_images [--scenes 60] [--images 5000] [--out FILE]
-
 Scenes are chosen at random: one to five objects of furniture and primitives, with colours below 1, under one to three
 point lights. At several random perturbations within an attack's reach, both sides of the difference of every coordinate
 are rendered in one batch, as ZOO does. Each image is compared with the exact renderer's, and gradients of a random
@@ -11,7 +9,6 @@ largest gradient.
 
 import argparse
 import json
-import platform
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -21,8 +18,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from services.accuracy.provenance import PACKAGES
-from services.process import use, versions
+from benchmarks.report import save
+from benchmarks.stale import ROOT
+from services.process import use
 from services.rendering.opengl import context
 from services.rendering.plan import ImageError, image_error
 from services.rendering.pyrender_renderer.declaration import PYRENDER
@@ -119,29 +117,21 @@ def beyond(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return [row for row in rows if row["mean"] > row["plan_mean"] or row["share"] > row["plan_share"]]
 
 
-def report(rows: list[dict[str, Any]], given: argparse.Namespace) -> dict[str, Any]:
-    """The report of these scenes as JSON: how it was made, its figures in short, and the rows."""
+def summary(rows: list[dict[str, Any]]) -> dict[str, float]:
+    """The figures of these scenes in short."""
     drawn = [row for row in rows if row["rasterised"]]
     middle, largest = np.quantile([row["gradients"] for row in drawn], (0.5, 1.0))
     return {
-        "command": f"python -m services.accuracy.rasterised_images --scenes {given.scenes} --images {given.images}",
-        "seed": SEED,
-        "machine": platform.platform(),
-        "versions": versions(*PACKAGES),
-        "backend": context.gl_backend(),
-        "summary": {
-            "scenes": len(rows),
-            "scenes_rasterised": len(drawn),
-            "scenes_of_three_objects_or_more": sum(len(row["meshes"]) >= 3 for row in rows),
-            "images": sum(row["images"] for row in rows),
-            "images_rasterised": sum(row["images"] for row in drawn),
-            "scenes_beyond_estimate": len(beyond(rows)),
-            "largest_mean_of_estimate": max(row["mean"] / row["plan_mean"] for row in drawn),
-            "largest_share_of_estimate": max(row["share"] / row["plan_share"] for row in drawn),
-            "median_gradient_error": float(middle),
-            "largest_gradient_error": float(largest),
-        },
-        "rows": rows,
+        "scenes": len(rows),
+        "scenes_rasterised": len(drawn),
+        "scenes_of_three_objects_or_more": sum(len(row["meshes"]) >= 3 for row in rows),
+        "images": sum(row["images"] for row in rows),
+        "images_rasterised": sum(row["images"] for row in drawn),
+        "scenes_beyond_estimate": len(beyond(rows)),
+        "largest_mean_of_estimate": max(row["mean"] / row["plan_mean"] for row in drawn),
+        "largest_share_of_estimate": max(row["share"] / row["plan_share"] for row in drawn),
+        "median_gradient_error": float(middle),
+        "largest_gradient_error": float(largest),
     }
 
 
@@ -150,7 +140,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scenes", type=int, default=60)
     parser.add_argument("--images", type=int, default=5000, help="least number of images, over all scenes")
-    parser.add_argument("--out", type=Path, default=Path("docs/accuracy/rasterised_images.json"))
+    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "accuracy" / "rasterised_images.json")
     options = parser.parse_args()
     settings = Settings()
     use(settings)
@@ -159,9 +149,7 @@ def main() -> None:
     for scene in scenes(options.scenes):
         rows.append(row := compare(scene, library, -(-options.images // options.scenes)))
         print(json.dumps(row), flush=True)
-    found = report(rows, options)
-    options.out.write_text(json.dumps(found, indent=1) + "\n", "utf-8")
-    print(json.dumps(found["summary"], indent=1))
+    save(options.out, __doc__ or "", context.gl_backend(), SEED, summary=summary(rows), rows=rows)
     sys.exit(bool(beyond(rows)))
 
 
