@@ -144,71 +144,42 @@ def _powers(ends: tuple[float, float]) -> list[float]:
 def differentiable(record: Record, target: str) -> str:
     """Of one network: successes against queries, successes against seconds, and the mean probability of the truth."""
     cells, curves = _own(record, target)
-    steps = max((len(curve.loss) for curve in curves), default=2) - 1
-    loss = Panel(
-        "Mean probability of the right answer",
-        "step",
-        "over all cases",
-        [_line(curve, curve.loss, steps) for curve in curves],
-        (0, steps),
-        (0, 1),
+    panels = (
+        _success(cells, f"{title(target)}: success against queries", "queries", _reached(cells, "by_queries"), 1.0),
+        _success(cells, "Success against seconds", "seconds", _reached(cells, "by_seconds"), 0.1),
+        _mean(curves, "Mean probability of the right answer", "over all cases", "loss", (0, 1)),
     )
-    return figure([*_success(cells, target), loss], [cell.attack for cell in cells])
+    return figure(panels, [cell.attack for cell in cells])
 
 
 def questions(record: Record, target: str) -> str:
     """Of one network that answers questions, each attacked by itself: successes against steps, queries and p."""
     cells = [cell for cell in _own(record, target)[0] if cell.attack in attacks(record)]
     jobs = [job for job in record.jobs if job.target == target and job.success]
-    by_step = {one.attack: [job.step or 0.0 for job in jobs if job.attack == one.attack] for one in cells}
-    by_p = {one.attack: [1000 * (job.p or 0.0) for job in jobs if job.attack == one.attack] for one in cells}
+    own = {cell.attack: [job for job in jobs if job.attack == cell.attack] for cell in cells}
+    by_step = {attack: corners([job.step or 0.0 for job in of]) for attack, of in own.items()}
+    by_p = {attack: corners([1000 * (job.p or 0.0) for job in of]) for attack, of in own.items()}
     panels = (
-        _linear(cells, f"{title(target)}: success against steps", "step", by_step),
-        _success(cells, target)[0],
-        _linear(cells, "Success against p", "p ×10⁻³", by_p),
+        _success(cells, f"{title(target)}: success against steps", "step", by_step),
+        _success(cells, f"{title(target)}: success against queries", "queries", _reached(cells, "by_queries"), 1.0),
+        _success(cells, "Success against p", "p ×10⁻³", by_p),
     )
     return figure(panels, [cell.attack for cell in cells])
-
-
-def _linear(cells: Sequence[Cell], name: str, unit: str, values: Mapping[str, Sequence[float]]) -> Panel:
-    """Successes whose value, of a job, is at most that of the axis."""
-    end = max((value for own in values.values() for value in own), default=1.0) or 1.0
-    lines = []
-    for cell in cells:
-        points = [(at, 100 * count / cell.success.of) for at, count in corners(list(values[cell.attack]))]
-        lines.append(Series(cell.attack, [(0.0, 0.0), *points], steps=True))
-    return Panel(name, unit, "verified, % of all cases", lines, (0.0, 1.05 * end), (0.0, 100.0))
 
 
 def nondifferentiable(record: Record, target: str) -> str:
     """Of one network: successes against queries, the mean advantage, and the mean distance, as the paper draws them."""
     cells, curves = _own(record, target)
-    steps = max((len(curve.loss) for curve in curves), default=2) - 1
     top = max((max(curve.advantage) for curve in curves), default=1.0)
     bottom = min(0.0, min((min(curve.advantage) for curve in curves), default=0.0))
     far = max((max(curve.distance) for curve in curves), default=1.0)
-    advantage = Panel(
-        "Mean log-probability advantage",
-        "step",
-        "below 0: fooled",
-        [_line(curve, curve.advantage, steps) for curve in curves],
-        (0, steps),
-        (bottom * 1.05, top * 1.05),
+    sides = (bottom * 1.05, top * 1.05)
+    panels = (
+        _success(cells, f"{title(target)}: success against queries", "queries", _reached(cells, "by_queries"), 1.0),
+        _mean(curves, "Mean log-probability advantage", "below 0: fooled", "advantage", sides),
+        _mean(curves, "Mean distance of the image", "‖ΔY‖₂", "distance", (0, far * 1.05)),
     )
-    distance = Panel(
-        "Mean distance of the image",
-        "step",
-        "‖ΔY‖₂",
-        [_line(curve, curve.distance, steps) for curve in curves],
-        (0, steps),
-        (0, far * 1.05),
-    )
-    return figure([_success(cells, target)[0], advantage, distance], [cell.attack for cell in cells])
-
-
-def _line(curve: MeanCurves, values: Sequence[float], steps: int) -> Series:
-    """A mean curve up to the last step of all: cases that have ended keep their last value."""
-    return Series(curve.attack, [*enumerate(values), (steps, values[-1])])
+    return figure(panels, [cell.attack for cell in cells])
 
 
 def _own(record: Record, target: str) -> tuple[list[Cell], list[MeanCurves]]:
@@ -216,28 +187,28 @@ def _own(record: Record, target: str) -> tuple[list[Cell], list[MeanCurves]]:
     return cells, [curve for curve in record.curves if curve.target == target]
 
 
-def _success(cells: Sequence[Cell], target: str) -> tuple[Panel, Panel]:
-    """Panels of successes against queries and against seconds."""
-    name = f"{title(target)}: success against queries"
-    return (
-        _against(cells, name, "queries", "by_queries", 1.0),
-        _against(cells, "Success against seconds", "seconds", "by_seconds", 0.1),
-    )
+def _reached(cells: Sequence[Cell], by: str) -> dict[str, Corners]:
+    """The corners of each attack's number of successes."""
+    return {cell.attack: getattr(cell, by) for cell in cells}
 
 
-def _against(cells: Sequence[Cell], name: str, unit: str, curve: str, start: float) -> Panel:
-    corners: dict[str, Corners] = {cell.attack: getattr(cell, curve) for cell in cells}
-    end = max((at for own in corners.values() for at, _ in own), default=10.0 * start)
+def _success(cells: Sequence[Cell], name: str, unit: str, reached: Mapping[str, Corners], start: float = 0.0) -> Panel:
+    """Successes against what they took. `start`: of a logarithmic axis; 0 for a linear one."""
+    largest = max((at for own in reached.values() for at, _ in own), default=10.0 * start) or 1.0
     lines = []
     for cell in cells:
-        points = [(at, 100 * count / cell.success.of) for at, count in corners[cell.attack]]
+        points = [(at, 100 * count / cell.success.of) for at, count in reached[cell.attack]]
         lines.append(Series(cell.attack, [(start, 0.0), *points], steps=True))
-    return Panel(
-        name,
-        f"{unit} (logarithmic)",
-        "verified, % of all cases",
-        lines,
-        (start, max(end * 1.1, 10 * start)),
-        (0, 100),
-        logarithmic=True,
-    )
+    ends, said = (0.0, 1.05 * largest), unit
+    if start:
+        ends, said = (start, max(largest * 1.1, 10 * start)), f"{unit} (logarithmic)"
+    return Panel(name, said, "verified, % of all cases", lines, ends, (0, 100), logarithmic=start > 0)
+
+
+def _mean(curves: Sequence[MeanCurves], name: str, unit: str, of: str, ends: tuple[float, float]) -> Panel:
+    """Mean curves up to the last step of all: cases that have ended keep their last value."""
+    steps = max((len(curve.loss) for curve in curves), default=2) - 1
+    lines = [
+        Series(curve.attack, [*enumerate(getattr(curve, of)), (steps, getattr(curve, of)[-1])]) for curve in curves
+    ]
+    return Panel(name, "step", unit, lines, (0, steps), ends)
