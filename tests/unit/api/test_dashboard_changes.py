@@ -23,7 +23,13 @@ async def test_of_a_single_group_there_is_no_plot_and_no_table_of_subsets(record
     job = add(record)
     found = result()
     found["subsets"] = [found["subsets"][0], found["subsets"][1]]
-    found["attribution"] = None
+    shares = {"effect": -3.0, "shapley": [-3.0], "interactions": [[0.0]]}
+    found["attribution"] = found["attribution"] | {
+        "parts": ["normals"],
+        "images": 0,
+        "log_odds": shares,
+        "probability": shares,
+    }
     succeed(record, job, found)
     page = Tags((await get(record, f"/jobs/{job.id}")).text)
     assert "Which groups did it" not in page.text
