@@ -7,6 +7,7 @@ what merely declares something.
     python -m benchmarks.walk [REQUEST.json]
 """
 
+import argparse
 import json
 import socket
 import subprocess
@@ -169,7 +170,10 @@ def finish(runner: Runner, redis: Redis, client: httpx.Client, request: dict[str
 
 def main() -> int:
     """Prints the files by room, and whether there are at most GOAL. Returns the exit status: 1 if the job failed."""
-    request = json.loads(Path(sys.argv[1]).read_text()) if len(sys.argv) > 1 else SHORT
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("request", nargs="?", type=Path, help="a request as JSON (default: a sphere, 30 steps of FGSM)")
+    given = parser.parse_args().request
+    request = SHORT if given is None else json.loads(given.read_text())
     walk = Walk()
     threading.setprofile(walk)
     sys.setprofile(walk)

@@ -35,7 +35,8 @@ def test_a_program_runs_a_job_and_reads_its_images(stack: Stack, tmp_path: Path)
 def test_asyncio_follows_several_jobs_at_once(stack: Stack) -> None:
     async def run() -> tuple[str, str]:
         async with AsyncClient(str(stack.client.base_url)) as service:
-            quick, endless = await asyncio.gather(service.submit_job(QUICK), service.submit_job(ENDLESS))
+            quick = await service.submit_job(QUICK)  # first: a worker takes them in the order of their checks
+            endless = await service.submit_job(ENDLESS)
             waited = asyncio.create_task(endless.wait())
             await quick.wait()
             await endless.cancel()
