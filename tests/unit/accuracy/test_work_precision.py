@@ -79,7 +79,7 @@ def test_the_report_says_everything(measured: Measured) -> None:
     ]
     for above, below in pairwise(headings):
         section = page[page.index(above) : page.index(below)]
-        assert ("|---" in section) == (above not in ("## Which tolerance", "## What is left out")), above
+        assert ("\n| :---" in section) == (above not in ("## Which tolerance", "## What is left out")), above
     assert f"`a command`, {made.measured['maps'].when}, " in page
     rows = list(csv.DictReader((folder / "work-precision.csv").read_text("utf-8").splitlines()))
     assert len(rows) == sum(len(getattr(made, part)) for part in PARTS) + len(list(success_rows(made.attacks)))

@@ -13,9 +13,9 @@ def test_a_list_as_csv_and_json(client: httpx.Client, services: Services, finish
     assert answer.headers["content-disposition"] == 'attachment; filename="jobs.csv"'
     [row] = csv.DictReader(io.StringIO(answer.text))
     columns = ("id", "title", "tags", "p", "verified")
-    assert [row[name] for name in columns] == [finished, "'=cmd()", "a b", "0.003", "True"]
+    assert [row[name] for name in columns] == [finished, "'=cmd()", "a b", "0.0025", "True"]
     [job] = client.get("/v1/jobs.json", params={"job": finished}).json()["items"]
-    assert (job["title"], job["tags"], job["p"], job["outcome"]) == ("=cmd()", ["a", "b"], 0.003, "fooled")
+    assert (job["title"], job["tags"], job["p"], job["outcome"]) == ("=cmd()", ["a", "b"], 0.0025, "fooled")
     assert client.get("/v1/jobs.json", params={"job": "f" * 32}).json() == {"items": []}
     assert client.get("/v1/jobs.csv", params={"q": "rendrer:x"}).status_code == 422
 
