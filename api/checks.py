@@ -1,4 +1,4 @@
-"""What the API asks of its warm processes: checks and previews of requests, and exports."""
+"""Work that the API gives its warm processes: checks and previews of requests, and exports."""
 
 import os
 from collections.abc import Callable, Mapping
@@ -94,7 +94,7 @@ class Checks:
             raise Unavailable("the check of this request was cut short; try again") from error
         except OutOfMemory as error:
             raise _too_large(error) from error
-        warnings = tuple(JobWarning.model_validate(one) for one in answer["warnings"])
+        warnings = tuple(JobWarning.model_validate(warning) for warning in answer["warnings"])
         return Checked(JobSpec.model_validate(answer["spec"]), warnings)
 
     async def _preview(self, what: str, spec: JobSpec, client: str) -> dict[str, Any]:

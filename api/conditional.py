@@ -23,7 +23,7 @@ class Conditional:
         """ASGI."""
         if scope["type"] != "http" or scope["method"] != "GET":
             return await self.app(scope, receive, send)
-        wanted = Headers(scope=scope).get("if-none-match")
+        client_etags = Headers(scope=scope).get("if-none-match")
         start: Message | None = None
 
         async def tagged(message: Message) -> None:
@@ -40,7 +40,7 @@ class Conditional:
                 # Weak: compressed or not, the content is the same.
                 body = message["body"]
                 headers["ETag"] = await run_in_threadpool(etag, body) if len(body) >= THREADED else etag(body)
-                if wanted is not None and matches(wanted, headers["ETag"]):
+                if client_etags is not None and matches(client_etags, headers["ETag"]):
                     kept = [(k, v) for k, v in begun["headers"] if k in _KEPT]
                     begun["status"], begun["headers"], message["body"] = 304, kept, b""
             await send(begun)

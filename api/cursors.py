@@ -43,12 +43,12 @@ _TYPES: dict[str, Any] = {
     "queries": _count,
     "seconds": float,
 }
-"""What a value is made of in JSON; that of the other sorts is a text."""
+"""Types of the values of sorts in a cursor's JSON; those of the other sorts are texts."""
 
 
 @dataclass(frozen=True)
 class Cursor:
-    """Where a page begins or ends. At most one is a place."""
+    """Place after which a page begins, or before which it ends. At most one of the two is given."""
 
     after: Place | None = None
     before: Place | None = None

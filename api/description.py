@@ -90,22 +90,24 @@ def _for_generators(schema: Any) -> Any:
     """The schema in the words that generators of clients read: a file of a form is of format `binary`, and one text
     among other types an `enum`, as they take a `const` for the only type."""
     if isinstance(schema, list):
-        return [_for_generators(one) for one in schema]
+        return [_for_generators(part) for part in schema]
     if not isinstance(schema, dict):
         return schema
-    found = {name: _for_generators(value) for name, value in schema.items()}
-    if found.get("contentMediaType") == "application/octet-stream":
-        found["format"] = "binary"
-    if "anyOf" in found:
-        found["anyOf"] = [
-            {"enum": [one["const"]], "type": one["type"]} if set(one) == {"const", "type"} else one
-            for one in found["anyOf"]
+    translated = {name: _for_generators(value) for name, value in schema.items()}
+    if translated.get("contentMediaType") == "application/octet-stream":
+        translated["format"] = "binary"
+    if "anyOf" in translated:
+        translated["anyOf"] = [
+            {"enum": [choice["const"]], "type": choice["type"]} if set(choice) == {"const", "type"} else choice
+            for choice in translated["anyOf"]
         ]
-    return found
+    return translated
 
 
 def _add_examples(schema: dict[str, Any]) -> None:
-    operations = {one["operationId"]: one for methods in schema["paths"].values() for one in methods.values()}
+    operations = {
+        operation["operationId"]: operation for methods in schema["paths"].values() for operation in methods.values()
+    }
     for name, example in json.loads(EXAMPLES.read_text("utf-8")).items():
         operation = operations[name]
         answers = (answer for status, answer in operation["responses"].items() if status.startswith("2"))
@@ -139,19 +141,19 @@ def _errors(schema: dict[str, Any]) -> None:
 
 
 def _possible(method: str, path: str, operation: dict[str, Any]) -> list[str]:
-    found = ["400", *(["401", "403", "503"] if operation["security"] else [])]  # the database may not answer
+    statuses = ["400", *(["401", "403", "503"] if operation["security"] else [])]  # the database may not answer
     if "{" in path:
-        found.append("404")
+        statuses.append("404")
     if "requestBody" in operation:
-        found += ["413", "415", "422"]
+        statuses += ["413", "415", "422"]
     elif "422" in operation["responses"]:
-        found.append("422")
+        statuses.append("422")
     if method == "delete":
-        found.append("409")
+        statuses.append("409")
     if path.endswith(("/export", "/scene.glb", "/continue")):
-        found.append("409")
+        statuses.append("409")
     if operation["operationId"] in LIMITED:
-        found.append("429")
+        statuses.append("429")
     if "206" in operation["responses"]:
-        found.append("416")
-    return found
+        statuses.append("416")
+    return statuses

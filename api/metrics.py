@@ -109,18 +109,18 @@ class ServiceMetrics(Collector):
         yield GaugeMetricFamily("scene_attack_event_streams", "Event streams of this process", self._streams())
 
 
-def _of_record(found: ServiceFigures) -> Iterator[Metric]:
+def _of_record(figures: ServiceFigures) -> Iterator[Metric]:
     jobs = GaugeMetricFamily("scene_attack_jobs", "Jobs in the record", labels=["kind", "state"])
-    for (kind, state), number in sorted(found.jobs.items()):
+    for (kind, state), number in sorted(figures.jobs.items()):
         jobs.add_metric([kind, state], number)
     yield jobs
     campaigns = GaugeMetricFamily("scene_attack_campaigns", "Campaigns in the record", labels=["state"])
-    for state, number in sorted(found.campaigns.items()):
+    for state, number in sorted(figures.campaigns.items()):
         campaigns.add_metric([state], number)
     yield campaigns
-    yield GaugeMetricFamily("scene_attack_queue_jobs", "Queued jobs that may run", found.queued)
+    yield GaugeMetricFamily("scene_attack_queue_jobs", "Queued jobs that may run", figures.queued)
     yield GaugeMetricFamily(
-        "scene_attack_queue_oldest_seconds", "Time since the oldest of them was queued", found.oldest_seconds
+        "scene_attack_queue_oldest_seconds", "Time since the oldest of them was queued", figures.oldest_seconds
     )
     for name, of, help_ in (
         ("submitted", ["kind"], "Jobs that were queued, since the service was set up"),
@@ -128,14 +128,14 @@ def _of_record(found: ServiceFigures) -> Iterator[Metric]:
         ("failures", ["kind"], "Jobs that have failed, by the kind of failure"),
     ):
         counter = CounterMetricFamily(f"scene_attack_jobs_{name}", help_, labels=of)
-        for label, value in found.totals.get(name, {}).items():
+        for label, value in figures.totals.get(name, {}).items():
             counter.add_metric(label.split(" "), value)
         yield counter
     for name, help_ in (("steps", "Steps of attacks"), ("queries", "Images that targets classified for attacks")):
-        yield CounterMetricFamily(f"scene_attack_{name}", help_, found.totals[name].get("", 0))
+        yield CounterMetricFamily(f"scene_attack_{name}", help_, figures.totals[name].get("", 0))
     stages = HistogramMetricFamily(
         "scene_attack_stage_seconds", "Time of a job in a stage: waiting in the queue, or a phase", labels=["stage"]
     )
-    for stage, times in sorted(found.stages.items()):
+    for stage, times in sorted(figures.stages.items()):
         stages.add_metric([stage], times.up_to, times.seconds)
     yield stages

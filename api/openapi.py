@@ -45,7 +45,7 @@ def _section(operation: dict[str, Any]) -> Iterator[str]:
         for kind, media in operation.get("requestBody", {}).get("content", {}).items()
     ]
     yield from (f"{'; '.join(facts)}; status {', '.join(sorted(operation['responses']))}.", "")
-    parameters = [one for one in operation.get("parameters", []) if one["in"] != "path"]
+    parameters = [parameter for parameter in operation.get("parameters", []) if parameter["in"] != "path"]
     if parameters:
         yield from ("| parameter | in | meaning |", "|---|---|---|")
         for parameter in parameters:

@@ -176,11 +176,11 @@ def install(app: FastAPI) -> None:
 
 
 def _unreadable(error: Exception) -> Response:
-    said = json_mistake(error)
+    detail = json_mistake(error)
     # A body that is JSON, but not one that is read, is answered as any other request that is refused.
     if isinstance(error, JSONDecodeError | UnicodeDecodeError):
-        return problem(400, f"the body cannot be read: {said}")
-    return invalid([InvalidRequest("body", said)])
+        return problem(400, f"the body cannot be read: {detail}")
+    return invalid([InvalidRequest("body", detail)])
 
 
 def _without_file(item: dict[str, Any]) -> dict[str, Any]:
@@ -191,7 +191,7 @@ def _without_file(item: dict[str, Any]) -> dict[str, Any]:
 def _fields_of(request: Request) -> Callable[[list[dict[str, Any]]], list[InvalidRequest]]:
     """The function that names the invalid fields of a request, by the model of its body."""
     hints = get_type_hints(request.scope["endpoint"]).values()
-    models = [one for one in hints if isinstance(one, type) and issubclass(one, Strict)]
+    models = [hint for hint in hints if isinstance(hint, type) and issubclass(hint, Strict)]
     if not models or models[0] is JobSpec:
         return named
     if models[0] is CampaignSpec:

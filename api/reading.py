@@ -24,7 +24,7 @@ class Reading:
         self._is_here = engine.dialect.name == "sqlite"
 
     async def __call__(self, read: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
-        """What the function `read` returns."""
+        """Returns what the function `read` returns."""
         if self._is_here and not READS_SQLITE.locked():
             return read(*args, **kwargs)
         return await run_in_threadpool(read, *args, **kwargs)

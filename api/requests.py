@@ -1,5 +1,5 @@
-"""What the routes read of a request: its JSON body, in a thread, so that a large or costly one delays no other; what a
-submission prefers and asks of the queue; and whether its client is still there.
+"""Reads for the routes, of a request: its JSON body, in a thread, so that a large or costly one delays no other; the
+preferences of a submission and its demand on the queue; and whether its client is still there.
 """
 
 import asyncio
@@ -105,8 +105,8 @@ def json_body(request: Request) -> None:
 
 def wait_preferred(prefer: Annotated[str | None, Header()] = None) -> float | None:
     """The seconds of `Prefer: wait=N` (RFC 7240), at most `LONGEST_WAIT`; None if the header has no such preference."""
-    found = re.search(r"(?:^|,)\s*wait\s*=\s*\"?(\d{1,9})\"?\s*(?:;[^,]*)?(?:,|$)", prefer or "", re.IGNORECASE)
-    return None if found is None else min(float(found[1]), LONGEST_WAIT)
+    match = re.search(r"(?:^|,)\s*wait\s*=\s*\"?(\d{1,9})\"?\s*(?:;[^,]*)?(?:,|$)", prefer or "", re.IGNORECASE)
+    return None if match is None else min(float(match[1]), LONGEST_WAIT)
 
 
 SUBMISSION: dict[str, Any] = {
@@ -114,7 +114,7 @@ SUBMISSION: dict[str, Any] = {
     "responses": {200: {"model": JobView, "description": "the job has ended within the time of `Prefer: wait`"}},
     "dependencies": [Depends(json_body)],
 }
-"""What routes have that submit a job."""
+"""Settings of the routes that submit a job."""
 PreferredWait = Annotated[float | None, Depends(wait_preferred)]
 DemandOfQuery = Annotated[Demand, Depends(demand(Priority.NORMAL))]
 IdempotencyKey = Annotated[

@@ -487,5 +487,5 @@ class JobEdit(Strict):
 
     def changes(self) -> dict[str, object]:
         """The columns to write."""
-        found = {name: getattr(self, name) for name in self.model_fields_set}
-        return {name: (value or []) if name == "tags" else value or None for name, value in found.items()}
+        values = {name: getattr(self, name) for name in self.model_fields_set}
+        return {name: (value or []) if name == "tags" else value or None for name, value in values.items()}

@@ -54,9 +54,9 @@ class Services:
 
 async def services(request: Request) -> Services:  # a function that is not async would be called in a thread
     """The app's services."""
-    found = request.app.state.services
-    assert isinstance(found, Services)
-    return found
+    provided = request.app.state.services
+    assert isinstance(provided, Services)
+    return provided
 
 
 ServicesDependency = Annotated[Services, Depends(services)]

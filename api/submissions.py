@@ -95,11 +95,11 @@ class Submissions:
         warnings = () if checked is None else checked.warnings
         about |= {"checked": checked is not None, "owner": caller.owner, "demand": demand}
         about |= {"owner_queued": self.quotas.queued_of(caller.owner)}
-        given = (request, self.max_queued, key, _answer, warnings)
+        arguments = (request, self.max_queued, key, _answer, warnings)
         try:
-            job, answer = self.record.jobs.create(*given, **about)
+            job, answer = self.record.jobs.create(*arguments, **about)
         except IntegrityError:  # another process recorded the same key at the same moment
-            job, answer = self.record.jobs.create(*given, **about)
+            job, answer = self.record.jobs.create(*arguments, **about)
         if job is not None:
             self._ring(job)
         return JobView.model_validate(answer)

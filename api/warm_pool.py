@@ -43,7 +43,7 @@ class NoneFree(Exception):
 
 
 class Process(Protocol):
-    """What the pool needs of `WarmProcess`."""
+    """The part of `WarmProcess` that the pool uses."""
 
     async def start(self) -> None: ...  # noqa: D102
     async def ask(self, message: dict[str, Any], seconds: float) -> Answer: ...  # noqa: D102
@@ -85,7 +85,7 @@ class WarmProcess:
         """
         answer = await asyncio.get_running_loop().run_in_executor(self._thread, self._ask, message, seconds)
         if "errors" in answer:
-            raise InvalidFields([InvalidRequest(*one) for one in answer["errors"]])
+            raise InvalidFields([InvalidRequest(*pair) for pair in answer["errors"]])
         if "trouble" in answer:
             raise Unavailable(f"the request failed: {answer['trouble']}")
         return answer
@@ -253,7 +253,7 @@ class WarmPool:
     async def _run(
         self, process: Process, message: dict[str, Any], seconds: float, done: Callable[[], None] | None = None
     ) -> Answer:
-        """What a process answers. It works to the end if this is cancelled, for starting it again would take longer."""
+        """Returns a process's answer. It works to the end if this is cancelled: starting it again would take longer."""
 
         async def run() -> Answer:
             try:

@@ -35,7 +35,7 @@ class StreamKeys:
         self._streams: Counter[str] = Counter()
         """The prefixes of the streams' keys, each with the number of its streams."""
         self._ended: set[str] = set()
-        """Those of them that have ended."""
+        """Prefixes of the streams' keys that have ended."""
         self._looked = float("-inf")
 
     def __bool__(self) -> bool:
@@ -146,12 +146,12 @@ class Watcher:
                         return
                     await followed.news.wait()
                     continue
-                found = followed.after(after)
-                if found is None:
-                    found = await run_in_threadpool(self._record.jobs.events, job.id, after, READ)
-                    if not found:
+                events = followed.after(after)
+                if events is None:
+                    events = await run_in_threadpool(self._record.jobs.events, job.id, after, READ)
+                    if not events:
                         return  # the job was deleted
-                for event in found:
+                for event in events:
                     yield event
                     after = event.number
 
@@ -202,9 +202,9 @@ class Watcher:
             except SQLAlchemyError as error:
                 log.warning("events not read, the streams wait", error=str(error))
             else:
-                for job_id, found in news.items():
+                for job_id, latest in news.items():
                     if job_id in self._followed:
-                        self._followed[job_id].add(found)
+                        self._followed[job_id].add(latest)
             await asyncio.sleep(POLL_SECONDS)
 
 

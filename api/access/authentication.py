@@ -185,7 +185,7 @@ log = logger(__name__)
 
 
 class Doors(Protocol):
-    """What this needs of the app's services."""
+    """The part of the app's services that authentication uses."""
 
     keys: AccessKeys
     sessions: Sessions
@@ -223,7 +223,7 @@ class Authentication:
 
 
 def _caller(services: Doors, scope: Scope) -> Caller | None:
-    """Who sends a request, by its key or else by its session; None if it has neither and needs one."""
+    """Returns the sender of a request, by its key or else by its session; None if it has neither and needs one."""
     key, headers = None, Headers(scope=scope)
     word, _, text = headers.get("authorization", "").partition(" ")
     if word.lower() == "bearer":
@@ -255,32 +255,32 @@ def _refusal(rule: Rule | None, caller: Caller | None, asked: Scope) -> Response
 
 
 async def known_caller(request: Request) -> Caller | None:  # a function that is not async would be called in a thread
-    """Who sends a request to an open route; None if nobody knows."""
-    found = request.scope["state"]["caller"]
-    assert found is None or isinstance(found, Caller)
-    return found
+    """Returns the sender of a request to an open route; None if unknown."""
+    sender = request.scope["state"]["caller"]
+    assert sender is None or isinstance(sender, Caller)
+    return sender
 
 
 KnownCaller = Annotated[Caller | None, Depends(known_caller)]
 
 
 async def caller(request: Request) -> Caller:
-    """Who sends a request to a route that needs a key."""
-    found = await known_caller(request)
-    assert found is not None
-    return found
+    """Returns the sender of a request to a route that needs a key."""
+    sender = await known_caller(request)
+    assert sender is not None
+    return sender
 
 
 CallerDependency = Annotated[Caller, Depends(caller)]
 
 
 def client_of(request: Request, caller: Caller) -> str:
-    """Whose turn a request takes: that of its owner, or of its address if nobody has a key."""
+    """Returns the client whose turn a request takes: its owner, or its address if nobody has a key."""
     return f"owner {caller.owner}" if caller.key else "" if request.client is None else request.client.host
 
 
 async def client(request: Request, caller: CallerDependency) -> str:
-    """Whose turn a request takes, for routes."""
+    """Returns the client whose turn a request takes, as `client_of`; a dependency of routes."""
     return client_of(request, caller)
 
 

@@ -44,8 +44,8 @@ class RequestId:
         """ASGI."""
         if scope["type"] != "http":
             return await self.app(scope, receive, send)
-        given = Headers(scope=scope).get(REQUEST_ID, "")
-        request_id = scope["request_id"] = given if _SANE.fullmatch(given) else uuid4().hex
+        sent = Headers(scope=scope).get(REQUEST_ID, "")
+        request_id = scope["request_id"] = sent if _SANE.fullmatch(sent) else uuid4().hex
         # The server runs each request in a task of its own, so this ends with the request.
         structlog.contextvars.clear_contextvars()
         structlog.contextvars.bind_contextvars(request=request_id)
@@ -97,13 +97,13 @@ def _record(scope: Scope, answer: Message) -> None:
     caller = scope.get("state", {}).get("caller")
     who = {"key": caller.key, "owner": caller.owner} if isinstance(caller, Caller) else {"key": None, "owner": None}
     rule = rule_of(scope["method"], scope["path"])
-    made = Headers(raw=answer["headers"]).get("location", "") if status in (201, 202) else ""
+    location = Headers(raw=answer["headers"]).get("location", "") if status in (201, 202) else ""
     log.info(
         "audit",
         **who,
         client=scope["client"][0] if scope["client"] else None,
         route=f"{scope['method'][:20]} -" if rule is None else rule.route,
-        object=(made or scope["path"])[:MAX_LOGGED],
+        object=(location or scope["path"])[:MAX_LOGGED],
         status=status,
     )
 
@@ -137,8 +137,8 @@ class KnownHosts:
 
 def _hostname(host: str) -> str:
     """The name or address in a Host header, in lower case; "" if it is none."""
-    found = _HOST.fullmatch(host)
-    return "" if found is None else (found[1] or found[2]).lower()
+    match = _HOST.fullmatch(host)
+    return "" if match is None else (match[1] or match[2]).lower()
 
 
 _OWN = ("same-origin", "none")

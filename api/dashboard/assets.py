@@ -95,7 +95,7 @@ def grid(
     everything = _entries(services, caller)
     kind, category, licence = chosen["kind"], chosen["category"], chosen["licence"]
     words = chosen["q"].lower().split()
-    found = [
+    matching = [
         entry
         for entry in everything
         if kind in ("", entry.kind)
@@ -104,9 +104,9 @@ def grid(
         and all(word in f"{entry.name} {entry.title} {entry.creator}".lower() for word in words)
     ]
     begin = (page - 1) * PAGE
-    entries = found[begin : begin + PAGE]
+    entries = matching[begin : begin + PAGE]
     answers = services.record.uploads.first_answers([entry.name for entry in entries], caller.only)
-    pages = {"newer": page - 1 if page > 1 else None, "older": page + 1 if begin + PAGE < len(found) else None}
+    pages = {"newer": page - 1 if page > 1 else None, "older": page + 1 if begin + PAGE < len(matching) else None}
     return html(
         "assets.html",
         422 if errors else 200,
@@ -115,7 +115,7 @@ def grid(
         errors=errors,
         said=said,
         shown=[Shown(entry, picture(entry), answers.get(entry.name, [])) for entry in entries],
-        count=len(found),
+        count=len(matching),
         begin=begin,
         chosen=chosen,
         kinds=list(dict.fromkeys(entry.kind for entry in everything)),
@@ -161,10 +161,10 @@ def one_asset(asset: str, services: ServicesDependency, caller: CallerDependency
 
 def _entry(services: Services, caller: Caller, asset: str) -> Entry:
     """Raises HTTPException(404) for an asset that is not there, or that the caller may not see."""
-    found = next((one for one in _entries(services, caller) if one.name == asset), None)
-    if found is None:
+    entry = next((entry for entry in _entries(services, caller) if entry.name == asset), None)
+    if entry is None:
         raise no_such("asset")
-    return found
+    return entry
 
 
 def _entries(services: Services, caller: Caller) -> list[Entry]:
@@ -187,7 +187,7 @@ FormText = Annotated[str, Form()]
 
 
 class Said(BaseModel):
-    """What the form says of the files; a field that is left empty says nothing."""
+    """Fields of the form about the files; None for a field that is left empty."""
 
     name: Title | None
     up: Up | None
@@ -208,26 +208,26 @@ async def add(
     credit: FormText = "",
 ) -> Response:
     """Stores the files as `POST /v1/assets` does and goes to the page of the asset. Errors are shown with the form."""
-    said = {"mesh": mesh, "name": name, "up": up, "licence": licence, "credit": credit}
-    sent = [one for one in file if one.filename]  # a browser sends an empty part for no file
+    form = {"mesh": mesh, "name": name, "up": up, "licence": licence, "credit": credit}
+    sent = [upload for upload in file if upload.filename]  # a browser sends an empty part for no file
     try:
-        about = _about(said, sent)
+        about = _about(form, sent)
         entry = await store(services, caller, client, sent, None, mesh or None, about)
     except InvalidRequest as error:
-        return await run_in_threadpool(grid, services, caller, EVERYTHING, 1, errors=error.every, said=said)
+        return await run_in_threadpool(grid, services, caller, EVERYTHING, 1, errors=error.every, said=form)
     return RedirectResponse(f"{ASSETS_PATH}/{entry.name}", 303, HEADERS)
 
 
-def _about(said: dict[str, str], sent: Sequence[UploadFile]) -> About:
-    """What the form says; the name is by default the file's. Raises InvalidRequest."""
+def _about(form: dict[str, str], sent: Sequence[UploadFile]) -> About:
+    """Reads the form; the name is by default the file's. Raises InvalidRequest."""
     if not sent:
         raise InvalidRequest("file", "choose the file of a mesh or of an environment map")
     if len(sent) > MAX_FILES:
         raise InvalidRequest("file", f"{len(sent):,} files were chosen; at most {MAX_FILES:,} are taken")
-    if len(said["mesh"]) > MAX_NAME:
-        raise InvalidRequest("mesh", f"it has {len(said['mesh']):,} characters; at most {MAX_NAME} are taken")
+    if len(form["mesh"]) > MAX_NAME:
+        raise InvalidRequest("mesh", f"it has {len(form['mesh']):,} characters; at most {MAX_NAME} are taken")
     try:
-        fields = Said.model_validate({field: said[field].strip() or None for field in Said.model_fields})
+        fields = Said.model_validate({field: form[field].strip() or None for field in Said.model_fields})
     except ValidationError as error:
         raise InvalidFields(invalid_fields(error.errors(include_url=False), Said.model_json_schema())) from error
     return About(title=fields.name or _title(sent), up=fields.up, licence=fields.licence, credit=fields.credit)
@@ -235,7 +235,7 @@ def _about(said: dict[str, str], sent: Sequence[UploadFile]) -> About:
 
 def _title(sent: Sequence[UploadFile]) -> str | None:
     """The name of the first file that may be the mesh or the map, without its ending."""
-    for path in (PurePosixPath(one.filename or "") for one in sent):
+    for path in (PurePosixPath(upload.filename or "") for upload in sent):
         if path.suffix.lower().removeprefix(".") in (*MESH_KINDS, *MAP_KINDS, "zip", "zae"):
             return title_of(path) or None
     return None

@@ -58,7 +58,7 @@ class Square:
 
 @dataclass(frozen=True)
 class Choice:
-    """What the heat map shows: the fields of its rows and columns, the measure, and the cell that is opened, if any."""
+    """Choices for the heat map: fields of its rows and columns, the measure, and the cell that is opened, if any."""
 
     rows: str = "scene"
     columns: str = "attack"
@@ -99,28 +99,31 @@ class Cases:
 def cases(service: CampaignService, campaign: Campaign, choice: Choice) -> Cases:
     """The cases of a campaign, which must have been read whole, as `choice` asks."""
     rows, choice = service.cases(campaign), choice.valid()
-    made = grid(rows, choice.rows, choice.columns, choice.measure)
+    heat_map = grid(rows, choice.rows, choice.columns, choice.measure)
     parts = part_means(service.record.attributions(campaign.id, ATTRIBUTED))
-    opened = [one for one in rows if _is_in(one, choice)]
+    opened = [case for case in rows if _is_in(case, choice)]
     return Cases(
         choice=choice,
-        grid=made,
-        squares=[(row, [_square(campaign.id, made, choice, row, one) for one in made.columns]) for row in made.rows],
+        grid=heat_map,
+        squares=[
+            (row, [_square(campaign.id, heat_map, choice, row, column) for column in heat_map.columns])
+            for row in heat_map.rows
+        ],
         opened=opened[:OPENED],
         opened_of=len(opened),
         best=best(rows, CASES_SHOWN),
         worst=worst(rows, CASES_SHOWN),
         parts=parts,
-        most=max((abs(one.value) for one in parts), default=0.0),
+        most=max((abs(part.value) for part in parts), default=0.0),
     )
 
 
-def _is_in(one: CaseRow, choice: Choice) -> bool:
-    return one.counted and (one.fields[choice.rows], one.fields[choice.columns]) == (choice.row, choice.column)
+def _is_in(case: CaseRow, choice: Choice) -> bool:
+    return case.counted and (case.fields[choice.rows], case.fields[choice.columns]) == (choice.row, choice.column)
 
 
-def _square(campaign: str, made: Grid, choice: Choice, row: str, column: str) -> Square | None:
-    cell = made.cells.get((row, column))
+def _square(campaign: str, heat_map: Grid, choice: Choice, row: str, column: str) -> Square | None:
+    cell = heat_map.cells.get((row, column))
     if cell is None:
         return None
     asked = {"rows": choice.rows, "columns": choice.columns, "measure": choice.measure, "row": row, "column": column}
@@ -155,7 +158,7 @@ def steps(values: Sequence[tuple[float, int]], of: int, most: int = 20) -> list[
 
 Along = Literal["queries", "seconds", "p"]
 ALONG: dict[Along, str] = {"queries": "queries", "seconds": "seconds", "p": "p ×10⁻³"}
-"""What the curves are drawn against, and the words for it."""
+"""Quantities against which the curves are drawn, with the words for them."""
 
 
 def corners(cell: Cell, along: Along) -> Corners:
@@ -165,19 +168,19 @@ def corners(cell: Cell, along: Along) -> Corners:
 
 
 def end(cell: Cell, along: Along) -> float:
-    """How far a cell's curve is known: the most work of any case, or the greatest p of a success; 0 if it has none."""
+    """End of a cell's curve: the most work of any case, or the greatest p of a success in thousandths; 0 if none."""
     most_p = 1000 * cell.by_p[-1][0] if cell.by_p else None
     return {"queries": cell.most_queries, "seconds": cell.most_seconds, "p": most_p}[along] or 0.0
 
 
 def points(cell: Cell, along: Along, until: float) -> list[tuple[float, float]]:
     """The step curve of a cell with cases as points (work, share of the cases in per cent), up to the work `until`."""
-    found, share = [(0.0, 0.0)], 0.0
+    curve, share = [(0.0, 0.0)], 0.0
     for at, count in corners(cell, along):
-        found.append((at, share))
+        curve.append((at, share))
         share = 100 * count / cell.success.of
-        found.append((at, share))
-    return [*found, (until, share)]
+        curve.append((at, share))
+    return [*curve, (until, share)]
 
 
 PAGE = 30
@@ -279,25 +282,25 @@ def _list(
     except InvalidRequest:
         before = None
     record = services.campaigns.record
-    found = record.page(state, PAGE + 1, before, owner=caller.only)
-    older = campaign_cursor(found[PAGE - 1]) if len(found) > PAGE else None
-    progress = record.progress([one.id for one in found])
-    lines = [(one, progress[one.id]) for one in found[:PAGE]]
+    rows = record.page(state, PAGE + 1, before, owner=caller.only)
+    older = campaign_cursor(rows[PAGE - 1]) if len(rows) > PAGE else None
+    progress = record.progress([row.id for row in rows])
+    lines = [(row, progress[row.id]) for row in rows[:PAGE]]
     return html(template, caller=caller, lines=lines, state=state, cursor=cursor, older=older)
 
 
 def _campaign(
     template: str, campaign_id: str, services: Services, caller: Caller, choice: Choice | None = None
 ) -> Response:
-    found = caller.visible(services.campaigns.record.get(campaign_id, whole=True))
-    if found is None:
+    stored = caller.visible(services.campaigns.record.get(campaign_id, whole=True))
+    if stored is None:
         raise no_such("campaign")
-    result = services.campaigns.result(found, curves=False)
+    result = services.campaigns.result(stored, curves=False)
     attacked = sorted(result.views, key=lambda view: not view.chosen)
     page = Page(
-        campaign=found,
-        progress=services.campaigns.progress(found),
-        counts=services.campaigns.counts(found.id),
+        campaign=stored,
+        progress=services.campaigns.progress(stored),
+        counts=services.campaigns.counts(stored.id),
         table=result.table,
         by_queries=_charts(result.table, "queries"),
         by_seconds=_charts(result.table, "seconds"),
@@ -305,11 +308,11 @@ def _campaign(
         corners=[_rows(cell, along) for along in ALONG for cell in result.table.cells if cell.success.of],
         views=attacked[:VIEWS_SHOWN],
         chosen=sum(view.chosen for view in result.views),
-        why_none=nothing_chosen(result.views) if found.selected_at else None,
+        why_none=nothing_chosen(result.views) if stored.selected_at else None,
     )
     if choice is None:
         return html(template, caller=caller, page=page)
-    return html(template, caller=caller, page=page, cases=cases(services.campaigns, found, choice))
+    return html(template, caller=caller, page=page, cases=cases(services.campaigns, stored, choice))
 
 
 def _charts(table: Table, along: Along) -> list[Chart]:

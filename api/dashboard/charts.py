@@ -225,8 +225,8 @@ def upset(
         length = SHAPLEY * value / largest
         groups.append(Group(rows[group], name, value, ZERO + min(0.0, length), abs(length)))
     columns = [
-        _column(k, one, len(subsets), rows, words, set(files), GROUPS_WIDTH + COLUMN * (k + 0.5), bars)
-        for k, one in enumerate(subsets)
+        _column(k, subset, len(subsets), rows, words, set(files), GROUPS_WIDTH + COLUMN * (k + 0.5), bars)
+        for k, subset in enumerate(subsets)
     ]
     return Upset(GROUPS_WIDTH + COLUMN * len(columns), bars + GAP + ROW * len(rows) + GAP, bars, columns, groups)
 

@@ -31,7 +31,7 @@ Against = Literal["step", "queries", "seconds"]
 ROWS = 40
 """Rows of the table behind the curves at most; the trace in the result has every one."""
 ABSENT = "–"
-"""What the table shows of a job whose request has no such field, or null there."""
+"""Text of the table for a job whose request has no such field, or null there."""
 
 router = APIRouter(include_in_schema=False)
 
@@ -91,10 +91,10 @@ def compare(
     ids = named(jobs, job, "jobs, as in /compare?jobs=a,b")
     compared = []
     for letter, job_id in zip(LETTERS, ids, strict=False):
-        found = caller.visible(services.record.jobs.get(job_id, with_result=True))
-        if found is None:
+        stored = caller.visible(services.record.jobs.get(job_id, with_result=True))
+        if stored is None:
             raise no_such(f"job as {job_id}")
-        compared.append(_compared_job(services, found, letter))
+        compared.append(_compared_job(services, stored, letter))
     charts = [curve for name in CURVES if (curve := _curve(compared, name, against))]
     along = {"step": "steps", "queries": "queries", "seconds": "seconds"}
     return _page(caller, "jobs", compared, ids, along, against, charts, _table(compared, against))
@@ -112,11 +112,11 @@ def compare_campaigns(
     ids = named(campaigns, campaign, "campaigns, as in /compare/campaigns?campaigns=a,b")
     compared = []
     for letter, campaign_id in zip(LETTERS, ids, strict=False):
-        found = caller.visible(services.campaigns.record.get(campaign_id, whole=True))
-        if found is None:
+        stored = caller.visible(services.campaigns.record.get(campaign_id, whole=True))
+        if stored is None:
             raise no_such(f"campaign as {campaign_id}")
-        table = services.campaigns.result(found, curves=False).table
-        about = (found.name, f"/campaigns/{found.id}", found.state, found.spec)
+        table = services.campaigns.result(stored, curves=False).table
+        about = (stored.name, f"/campaigns/{stored.id}", stored.state, stored.spec)
         compared.append(ComparedCampaign(letter, *about, table))
     rows = _campaign_rows(compared, against)
     charts = [row.chart for row in rows if row.chart]
@@ -143,7 +143,7 @@ def _page(
         address=query + ",".join(ids),
         along=along,
         against=against,
-        differing=differences([one.spec for one in compared]),
+        differing=differences([item.spec for item in compared]),
         charts=charts,
         rows=rows,
     )
@@ -151,7 +151,9 @@ def _page(
 
 def _compared_job(services: Services, job: Job, letter: str) -> ComparedJob:
     trace = trace_of(job, all_events(services.record, job.id))
-    images = {one.name for one in services.record.jobs.artifacts(job.id) if one.media_type == "image/png"}
+    images = {
+        artifact.name for artifact in services.record.jobs.artifacts(job.id) if artifact.media_type == "image/png"
+    }
     about = (job.title or job.name or "", f"/jobs/{job.id}", job.state, job.spec)
     return ComparedJob(letter, *about, job, job.outcome, trace, images)
 
@@ -161,7 +163,7 @@ def named(listed: str, ticked: Sequence[str], what: str) -> list[str]:
 
     Raises InvalidRequest, which names the field, unless they can be compared.
     """
-    ids = [one.strip() for one in (*(listed.split(",") if listed.strip() else ()), *ticked)]
+    ids = [part.strip() for part in (*(listed.split(",") if listed.strip() else ()), *ticked)]
     field = what.partition(",")[0]
     if not all(ids):
         raise InvalidRequest(field, "one of the ids is empty")
@@ -173,11 +175,11 @@ def named(listed: str, ticked: Sequence[str], what: str) -> list[str]:
 def differences(specs: Sequence[Mapping[str, Any]]) -> list[tuple[str, list[str]]]:
     """The dotted path of each field whose values differ, and the value of each request in words."""
     flat = [dict(_fields(spec)) for spec in specs]
-    paths = list(dict.fromkeys(path for one in flat for path in one))
+    paths = list(dict.fromkeys(path for fields in flat for path in fields))
     return [
-        (path, [_words(one.get(path)) for one in flat])
+        (path, [_words(fields.get(path)) for fields in flat])
         for path in paths
-        if any(path not in one or one[path] != flat[0].get(path) for one in flat)
+        if any(path not in fields or fields[path] != flat[0].get(path) for fields in flat)
     ]
 
 
@@ -190,41 +192,41 @@ def _words(value: Any) -> str:
 
 def _fields(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
     parts = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
-    if not parts or (isinstance(value, list) and not any(isinstance(one, dict | list) for one in value)):
+    if not parts or (isinstance(value, list) and not any(isinstance(item, dict | list) for item in value)):
         yield path, value
         return
-    for name, one in parts:
-        yield from _fields(one, f"{path}.{name}" if path else str(name))
+    for name, part in parts:
+        yield from _fields(part, f"{path}.{name}" if path else str(name))
 
 
 def _curve(compared: Sequence[ComparedJob], name: str, against: str) -> Chart | None:
     title, include = CURVES[name]
-    curves = [(one.letter, [(row[against], row[name]) for row in one.trace]) for one in compared]
+    curves = [(item.letter, [(row[against], row[name]) for row in item.trace]) for item in compared]
     return overlay(title, against, curves, include)
 
 
 def _table(compared: Sequence[ComparedJob], against: str) -> list[list[tuple[float, float, float] | None]]:
     """For each job (x, advantage, p) of some of its rows, first and last among them."""
     columns = []
-    for one in compared:
-        every = -(-len(one.trace) // ROWS) or 1
-        kept = [row for number, row in enumerate(one.trace) if number % every == 0 or number == len(one.trace) - 1]
+    for item in compared:
+        every = -(-len(item.trace) // ROWS) or 1
+        kept = [row for number, row in enumerate(item.trace) if number % every == 0 or number == len(item.trace) - 1]
         columns.append([(row[against], row["advantage"], row["perceptibility"]) for row in kept])
     return [list(row) for row in zip_longest(*columns)]
 
 
 def _campaign_rows(compared: Sequence[ComparedCampaign], against: Along) -> list[CampaignRow]:
     """A row for each target and attack of any campaign, in the order in which they first occur."""
-    pairs = dict.fromkeys((cell.target, cell.attack) for one in compared for cell in one.table.cells)
+    pairs = dict.fromkeys((cell.target, cell.attack) for item in compared for cell in item.table.cells)
     return [_campaign_row(compared, target, attack, against) for target, attack in pairs]
 
 
 def _campaign_row(compared: Sequence[ComparedCampaign], target: str, attack: str, against: Along) -> CampaignRow:
-    found = [one.table.cell(target, attack) for one in compared]
-    cells = [cell if cell and cell.success.of else None for cell in found]
+    all_cells = [item.table.cell(target, attack) for item in compared]
+    cells = [cell if cell and cell.success.of else None for cell in all_cells]
     until = 1.05 * max((end(cell, against) for cell in cells if cell), default=0.0) or 1.0
     curves = [
-        (one.letter, points(cell, against, until) if cell else []) for one, cell in zip(compared, cells, strict=True)
+        (item.letter, points(cell, against, until) if cell else []) for item, cell in zip(compared, cells, strict=True)
     ]
     return CampaignRow(
         target=target,

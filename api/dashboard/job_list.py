@@ -65,11 +65,11 @@ COLUMNS = (
 
 @dataclass(frozen=True)
 class Strip:
-    """What there is to see of all jobs at once."""
+    """Summary of all jobs of a caller, above the list."""
 
     totals: ListTotals
     seconds_left: float | None
-    """Until the jobs that have not ended will have, at the mean run time; None if there are none, or no run times."""
+    """Time until all jobs have ended, at the mean run time; None if all have, or if no run time is known."""
 
     @classmethod
     def of(cls, totals: ListTotals) -> "Strip":
@@ -132,26 +132,26 @@ def act(
 
 
 def _act(services: Services, caller: Caller, action: str, job_id: str, tag: str) -> None:
-    found = None if "\0" in job_id else caller.visible(services.record.jobs.get(job_id))
-    if found is None:
+    job = None if "\0" in job_id else caller.visible(services.record.jobs.get(job_id))
+    if job is None:
         raise InUse("there is no such job")
     if action == "cancel":
         services.record.jobs.request_cancel(job_id)
     elif action == "delete":
         services.housekeeping.delete(job_id)
     elif action == "tag":
-        tags = {*(found.tags or []), tag}
+        tags = {*(job.tags or []), tag}
         if len(tags) > MOST_TAGS:
             raise InUse(f"it has {MOST_TAGS} tags already, and may have no more")
         services.record.lists.edit(job_id, {"tags": tags})
     else:
-        services.submissions.retry(caller, found)
+        services.submissions.retry(caller, job)
 
 
 def address(q: str, sort: str, cursor: str | None = None) -> str:
     """The address of a list."""
-    given = {"q": q, "sort": "" if sort == NEWEST else sort, "cursor": cursor or ""}
-    chosen = urlencode({name: value for name, value in given.items() if value})
+    parameters = {"q": q, "sort": "" if sort == NEWEST else sort, "cursor": cursor or ""}
+    chosen = urlencode({name: value for name, value in parameters.items() if value})
     return f"/?{chosen}" if chosen else "/"
 
 

@@ -74,32 +74,32 @@ def static(path: str) -> Response:
 
 
 def _job(part: str, job_id: str, services: Services, caller: Caller, request: Request) -> Response:
-    found = caller.visible(services.record.jobs.get(job_id, with_result=True))
-    if found is None:
+    stored = caller.visible(services.record.jobs.get(job_id, with_result=True))
+    if stored is None:
         raise no_such("job")
-    if found.kind is JobKind.RERENDERING:
-        return html(f"{part}rerendering.html", caller=caller, job=found)
+    if stored.kind is JobKind.RERENDERING:
+        return html(f"{part}rerendering.html", caller=caller, job=stored)
     events = all_events(services.record, job_id)
     artifacts = services.record.jobs.artifacts(job_id)
-    page = views.page(found, events, artifacts, _best_so_far(services, artifacts))
-    said = about(found, services.record.lists.retries(job_id, caller.only), page.went_on)
-    sent_again = commands(found.spec, str(request.base_url).rstrip("/"), with_key=bool(caller.key))
-    return html(f"{part}job.html", caller=caller, page=page, about=said, commands=sent_again)
+    page = views.page(stored, events, artifacts, _best_so_far(services, artifacts))
+    remarks = about(stored, services.record.lists.retries(job_id, caller.only), page.went_on)
+    sent_again = commands(stored.spec, str(request.base_url).rstrip("/"), with_key=bool(caller.key))
+    return html(f"{part}job.html", caller=caller, page=page, about=remarks, commands=sent_again)
 
 
 def _best_so_far(services: Services, artifacts: Sequence[Artifact]) -> dict[str, Any] | None:
-    """What a job had found that ended before its time, if it has such a file."""
+    """Best result of a job that ended before its time; None if it has no such file."""
     for artifact in artifacts:
         if artifact.name == BEST_SO_FAR:
             with suppress(FileNotFoundError, Damaged), services.store.open(artifact.sha256) as file:
-                found: dict[str, Any] = json.load(file)
-                return found
+                best: dict[str, Any] = json.load(file)
+                return best
     return None
 
 
 @dataclass(frozen=True)
 class About:
-    """What a job's page shows of what people have said and done."""
+    """Data of the part of a job's page about what people have said and done."""
 
     title: str | None
     tags: list[str]
@@ -113,7 +113,7 @@ class About:
 
 
 def about(job: Job, retries: Sequence[str], went_on: bool) -> About:
-    """What people have said about a job, and the jobs that repeat it."""
+    """Returns what people have said about a job, and the jobs that repeat it."""
     deletable = job.state.terminal and job.campaign_id is None
     return About(job.title, job.tags or [], job.note, job.retry_of, retries, went_on, deletable)
 
@@ -127,9 +127,9 @@ def edit(
     note: Annotated[str, Form()] = "",
 ) -> Response:
     """Writes what the form on the page says; the tags have spaces or commas between them."""
-    said = {"title": title.strip(), "tags": tags.replace(",", " ").split(), "note": note.replace("\r\n", "\n").strip()}
+    form = {"title": title.strip(), "tags": tags.replace(",", " ").split(), "note": note.replace("\r\n", "\n").strip()}
     try:
-        changes = JobEdit.model_validate(said)
+        changes = JobEdit.model_validate(form)
     except ValidationError as error:
         raise InvalidFields(invalid_fields(error.errors(include_url=False), JobEdit.model_json_schema())) from error
     services.record.lists.edit(job.id, changes.changes())
@@ -139,10 +139,10 @@ def edit(
 @router.post("/jobs/{job_id}/retry")
 def again(job: KnownJob, services: ServicesDependency, caller: CallerDependency) -> Response:
     """Queues the job's request again, and goes to the new job's page."""
-    found = services.record.jobs.get(job.id)
-    if found is None:
+    stored = services.record.jobs.get(job.id)
+    if stored is None:
         raise no_such("job")
-    return _to(f"/jobs/{services.submissions.retry(caller, found).id}")
+    return _to(f"/jobs/{services.submissions.retry(caller, stored).id}")
 
 
 @router.post("/jobs/{job_id}/delete")

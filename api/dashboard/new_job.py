@@ -71,19 +71,19 @@ async def submit(
 
 @router.get("/new/choices.json")
 def choices(services: ServicesDependency, caller: CallerDependency) -> Any:
-    """What the form is made from: the schema of a request, and the names that its fields may have."""
-    found = [*services.library.entries(may_see=services.assets.visible(caller)), *services.library.environments()]
-    maps = [[one.name, one.title] for one in found if one.kind == "environment"]
+    """Data from which the form is made: the schema of a request, and the names that its fields may have."""
+    entries = [*services.library.entries(may_see=services.assets.visible(caller)), *services.library.environments()]
+    maps = [[entry.name, entry.title] for entry in entries if entry.kind == "environment"]
     return {
         "schema": _schema(),
-        "meshes": [[one.name, one.title] for one in found if one.kind != "environment"],
+        "meshes": [[entry.name, entry.title] for entry in entries if entry.kind != "environment"],
         "environments": [*maps, ["lights", "the scene's own lights"]],
-        "targets": [[one.name, one.title] for one in available()],
+        "targets": [[target.name, target.title] for target in available()],
         "materials": [[name, ""] for name in _materials()],
         "methods": list(ATTACKS),
         "renderers": {
             name: {
-                "groups": [[one.name, one.words, one.by_default] for one in declared.groups],
+                "groups": [[group.name, group.words, group.by_default] for group in declared.groups],
                 "method": declared.method,
             }
             for name, declared in RENDERERS.items()

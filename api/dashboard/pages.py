@@ -42,11 +42,11 @@ HEADERS = {
 
 
 def _static(folder: Traversable, before: str = "") -> Iterator[tuple[str, bytes]]:
-    for one in folder.iterdir():
-        if one.is_dir():
-            yield from _static(one, f"{before}{one.name}/")
+    for entry in folder.iterdir():
+        if entry.is_dir():
+            yield from _static(entry, f"{before}{entry.name}/")
         else:
-            yield before + one.name, one.read_bytes()
+            yield before + entry.name, entry.read_bytes()
 
 
 AREAS = (
@@ -77,7 +77,7 @@ def prose(text: str) -> Markup:
     """Text of the API's description as HTML: what stands between backticks is code."""
     parts = text.split("`")
     return Markup("").join(
-        Markup("<code>{}</code>").format(one) if k % 2 else escape(one) for k, one in enumerate(parts)
+        Markup("<code>{}</code>").format(part) if k % 2 else escape(part) for k, part in enumerate(parts)
     )
 
 

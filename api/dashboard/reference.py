@@ -41,48 +41,53 @@ def reference(request: Request, caller: CallerDependency) -> Response:
     """The page."""
     described = request.app.openapi()
     operations = [
-        _operation(method, path, one) for path, methods in described["paths"].items() for method, one in methods.items()
+        _operation(method, path, operation)
+        for path, methods in described["paths"].items()
+        for method, operation in methods.items()
     ]
-    schemas = {name: _fields(one) for name, one in sorted(described["components"]["schemas"].items())}
-    words = {name: one.get("description", "") for name, one in described["components"]["schemas"].items()}
-    kinds = {name: type_of(one) for name, one in described["components"]["schemas"].items() if not schemas[name]}
+    schemas = {name: _fields(schema) for name, schema in sorted(described["components"]["schemas"].items())}
+    words = {name: schema.get("description", "") for name, schema in described["components"]["schemas"].items()}
+    kinds = {name: type_of(schema) for name, schema in described["components"]["schemas"].items() if not schemas[name]}
     values: dict[str, Any] = {"operations": operations, "schemas": schemas, "described": words, "kinds": kinds}
     return html("reference.html", caller=caller, intro=described["info"]["description"], **values)
 
 
-def _operation(method: str, path: str, one: Mapping[str, Any]) -> Operation:
-    body = one.get("requestBody", {}).get("content", {})
+def _operation(method: str, path: str, operation: Mapping[str, Any]) -> Operation:
+    body = operation.get("requestBody", {}).get("content", {})
     media = next(iter(body), None)
-    security = one.get("security") or [{}]
+    security = operation.get("security") or [{}]
     return Operation(
         method=method.upper(),
         path=path,
-        words=one.get("description", ""),
+        words=operation.get("description", ""),
         scope=next(iter(security[0].get("key", [])), None),
         parameters=[
             Value(f"{p['name']} ({p['in']})", type_of(p["schema"]), p.get("description", ""), p.get("required", False))
-            for p in one.get("parameters", [])
+            for p in operation.get("parameters", [])
         ],
         body=None if media is None else Value(media, type_of(body[media]["schema"]), "", True),
         answers=[
-            Value(status, _answer(said.get("content", {})), said.get("description", ""), True)
-            for status, said in sorted(one["responses"].items())
+            Value(status, _answer(response.get("content", {})), response.get("description", ""), True)
+            for status, response in sorted(operation["responses"].items())
         ],
     )
 
 
 def _answer(content: Mapping[str, Any]) -> list[tuple[str, str | None]]:
     parts: list[tuple[str, str | None]] = []
-    for media, said in content.items():
-        parts += [(", " if parts else "", None), *(type_of(said["schema"]) if said.get("schema") else [(media, None)])]
+    for media, described in content.items():
+        parts += [
+            (", " if parts else "", None),
+            *(type_of(described["schema"]) if described.get("schema") else [(media, None)]),
+        ]
     return parts
 
 
 def _fields(schema: Mapping[str, Any]) -> list[Value]:
     required = schema.get("required", [])
     return [
-        Value(name, type_of(one), one.get("description", ""), name in required)
-        for name, one in schema.get("properties", {}).items()
+        Value(name, type_of(field), field.get("description", ""), name in required)
+        for name, field in schema.get("properties", {}).items()
     ]
 
 
@@ -94,13 +99,13 @@ def type_of(schema: Mapping[str, Any]) -> list[tuple[str, str | None]]:
     for how in ("anyOf", "oneOf", "allOf"):
         if how in schema:
             parts: list[tuple[str, str | None]] = []
-            for one in schema[how]:
-                parts += [*([(" or ", None)] if parts else []), *type_of(one)]
+            for option in schema[how]:
+                parts += [*([(" or ", None)] if parts else []), *type_of(option)]
             return parts
     if "const" in schema:
         return [(f"“{schema['const']}”", None)]
     if "enum" in schema:
-        return [(" or ".join(f"“{one}”" for one in schema["enum"]), None)]
+        return [(" or ".join(f"“{value}”" for value in schema["enum"]), None)]
     kind = schema.get("type", "anything")
     if kind == "array":
         return [("list of ", None), *type_of(schema.get("items", {}))]
@@ -117,5 +122,5 @@ def _limits(schema: Mapping[str, Any]) -> str:
         "exclusiveMaximum": "below {}",
         "maxLength": "at most {} characters",
     }
-    found = [text.format(schema[name]) for name, text in words.items() if name in schema]
-    return f", {', '.join(found)}" if found else ""
+    texts = [text.format(schema[name]) for name, text in words.items() if name in schema]
+    return f", {', '.join(texts)}" if texts else ""

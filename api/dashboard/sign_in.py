@@ -34,17 +34,17 @@ def sign_in(
     next: Annotated[str, Form(max_length=500)] = "/",  # noqa: A002
 ) -> Response:
     """Begins a session with a key, in a cookie that scripts cannot read and other sites cannot make a browser send."""
-    found = services.keys.find(key.strip())
-    if found is None:
+    stored = services.keys.find(key.strip())
+    if stored is None:
         return html("sign_in.html", 401, next=_own(next), wrong="No such key, or it is revoked or has expired.")
-    services.keys.record_use(found.prefix)
-    caller = Caller.of(found.owner, found.scopes, found.prefix)
+    services.keys.record_use(stored.prefix)
+    caller = Caller.of(stored.owner, stored.scopes, stored.prefix)
     request.state.caller = caller  # for the audit log
     if not caller.may(Scope.JOBS_READ):
         wrong = f"This key has not the scope {Scope.JOBS_READ}, which the dashboard needs."
         return html("sign_in.html", 403, next=_own(next), wrong=wrong)
     answer = RedirectResponse(_own(next), 303, HEADERS)
-    text, is_secure = services.sessions.begin(found.prefix), request.url.scheme == "https"
+    text, is_secure = services.sessions.begin(stored.prefix), request.url.scheme == "https"
     answer.set_cookie(COOKIE, text, SESSION_SECONDS, secure=is_secure, httponly=True, samesite="strict")
     return answer
 

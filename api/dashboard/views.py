@@ -95,8 +95,8 @@ def questions(result: Mapping[str, Any] | None, spec: Mapping[str, Any], names: 
     if result is None or not result.get("questions") or spec.get("record") is None:
         return []
     facts = Facts.of(SceneRecord.model_validate(spec["record"]))
-    found = zip(result["questions"], names, strict=True)
-    return [_question(number, one, name, facts) for number, (one, name) in enumerate(found)]
+    named = zip(result["questions"], names, strict=True)
+    return [_question(number, question, name, facts) for number, (question, name) in enumerate(named)]
 
 
 def objects(result: Mapping[str, Any] | None, spec: Mapping[str, Any]) -> list[SceneObject]:
@@ -107,14 +107,14 @@ def objects(result: Mapping[str, Any] | None, spec: Mapping[str, Any]) -> list[S
     values = {} if analysis is None else dict(zip(analysis["parts"], analysis["log_odds"]["shapley"], strict=True))
     return [
         SceneObject(
-            words=f"{one['size']} {one['color']} {one['material']} {one['shape']}",
+            words=f"{thing['size']} {thing['color']} {thing['material']} {thing['shape']}",
             effects={
                 group: values[f"object {number} {group}"]
                 for group in spec["attack"]["groups"]
                 if f"object {number} {group}" in values
             },
         )
-        for number, one in enumerate(spec["record"]["objects"])
+        for number, thing in enumerate(spec["record"]["objects"])
     ]
 
 
@@ -130,9 +130,9 @@ def _question(number: int, stored: Mapping[str, Any], name: str, facts: Facts) -
         result=result,
         asks_for=TYPE_WORDS[program.types[-1]],
         program=root,
-        scale=max([1.0, *(one.change for one in result.attention)]),
-        first=next((one for one in steps.values() if one.is_first), None),
-        most=next((one for one in steps.values() if one.is_most), None),
+        scale=max([1.0, *(attention.change for attention in result.attention)]),
+        first=next((step for step in steps.values() if step.is_first), None),
+        most=next((step for step in steps.values() if step.is_most), None),
     )
 
 
@@ -141,7 +141,7 @@ class _Tree:
 
     def __init__(self, program: Program, outputs: Sequence[Value], attention: Sequence[Attended]) -> None:
         self._program, self._outputs = program, outputs
-        self._attention = {one.node: one for one in attention}
+        self._attention = {change.node: change for change in attention}
         self._first, self._most = first_changed(attention), most_changed(attention)
         self.steps: dict[int, Step] = {}
 
@@ -153,13 +153,13 @@ class _Tree:
             numbers.append(inputs[0])
             inputs = self._program.nodes[inputs[0]].inputs
         again = numbers[-1] in self.steps
-        before = () if again else tuple(self.chain(one) for one in inputs)
+        before = () if again else tuple(self.chain(source) for source in inputs)
         return Chain(before, tuple(self._step(number) for number in reversed(numbers)))
 
     def _step(self, number: int) -> Step:
         node, gives = self._program.nodes[number], self._program.types[number]
         attention = self._attention.get(number)
-        made = Step(
+        step = Step(
             number=number,
             words=_words(node),
             label=node.label,
@@ -171,7 +171,7 @@ class _Tree:
             is_answer=number == len(self._program.nodes) - 1,
             shown_before=number in self.steps,
         )
-        return self.steps.setdefault(number, made) if not made.shown_before else made
+        return self.steps.setdefault(number, step) if not step.shown_before else step
 
 
 def _words(node: Node) -> str:
@@ -204,8 +204,8 @@ def all_events(record: Record, job_id: str) -> Iterator[Event]:
 def trace_of(job: Job, events: Iterable[Event]) -> list[dict[str, Any]]:
     """The trace of the result or, if there is none yet, that of the events, which are read for this alone."""
     if job.result:
-        found: list[dict[str, Any]] = job.result["trace"]
-        return found
+        trace: list[dict[str, Any]] = job.result["trace"]
+        return trace
     return trace_of_events(events)
 
 
@@ -224,7 +224,7 @@ def trace_of_events(events: Iterable[Event]) -> list[dict[str, Any]]:
 
 IMAGES = ("original.png", "attacked.png", "perturbation.png")
 SEARCHED = ("coordinates", "coordinates that reach the answer")
-"""What a plan calls the coordinates of a group that the attack on a question searches."""
+"""Names in a plan for the coordinates of a group that the attack on a question searches."""
 ROWS = 100
 """Rows of a trace that a page's table has at most."""
 LEAST = 0.01
@@ -249,7 +249,7 @@ class Line:
     outcome: dict[str, Any] | None
     failure_kind: str | None
     waiting: str | None
-    """Why no live worker takes the queued job; None if one of them can run it."""
+    """Reason why no live worker takes the queued job; None if one of them can run it."""
 
 
 @dataclass(frozen=True)
@@ -324,12 +324,12 @@ def page(job: Job, events: Iterable[Event], artifacts: Sequence[Artifact], best:
     trace = trace_of(job, events)
     height, width = job.spec["scene"]["camera"]["size"]
     asked = questions(job.result, job.spec, question_names(job.spec))
-    shown = {name for one in asked for of in one.result.attention for name in (of.before, of.after)}
+    shown = {name for question in asked for of in question.result.attention for name in (of.before, of.after)}
     things = objects(job.result, job.spec)
     rows = subsets(job.result)
     names = {group: group_words(job.spec, group) for group in (rows[-1]["groups"] if rows else ())}
     shares = None if job.result is None else job.result["attribution"]
-    has_checkpoint = any(one.name == CHECKPOINT for one in artifacts)
+    has_checkpoint = any(artifact.name == CHECKPOINT for artifact in artifacts)
     # It has a checkpoint from its beginning. One that only repeats has none with a result, and else its own later.
     went_on = (
         has_checkpoint and job.retry_of is not None and (job.result is not None or not trace or trace[0]["step"] > 0)
@@ -347,14 +347,14 @@ def page(job: Job, events: Iterable[Event], artifacts: Sequence[Artifact], best:
         attribution=shares | {"parts": [names[part] for part in shares["parts"]]}
         if shares and len(names) > 1
         else None,
-        upset=shares and upset(rows, shares, names, [one.name for one in artifacts]),
+        upset=shares and upset(rows, shares, names, [artifact.name for artifact in artifacts]),
         last=trace[-1] if trace else None,
         by_step=charts(trace, job.spec, "step"),
         by_queries=charts(trace, job.spec, "queries"),
         by_seconds=charts(trace, job.spec, "seconds"),
         rows=evenly(trace),
-        artifacts=[one for one in artifacts if one.name not in shown],
-        attention_files=[one for one in artifacts if one.name in shown],
+        artifacts=[artifact for artifact in artifacts if artifact.name not in shown],
+        attention_files=[artifact for artifact in artifacts if artifact.name in shown],
         best=best,
         continuable=has_checkpoint and job.state in (State.CANCELLED, State.FAILED),
         went_on=went_on,
@@ -362,7 +362,9 @@ def page(job: Job, events: Iterable[Event], artifacts: Sequence[Artifact], best:
         analysed=job.result is not None and any(job.result["analyses"].values()),
         questions=asked,
         objects=things,
-        effect_groups=[one for one in job.spec["attack"]["groups"] if any(one in thing.effects for thing in things)],
+        effect_groups=[
+            group for group in job.spec["attack"]["groups"] if any(group in thing.effects for thing in things)
+        ],
         limits=limits(job.result, job.spec) if asked else [],
         image_size=(height, width),
     )
@@ -379,7 +381,9 @@ def subsets(result: dict[str, Any] | None) -> list[dict[str, Any]]:
     if result is None:
         return []
     truth, first = result["truth"], result["original"]["label"]
-    return [one | {"outcome": judge(truth, first, one["label"], one["fooled"])} for one in result["subsets"]]
+    return [
+        subset | {"outcome": judge(truth, first, subset["label"], subset["fooled"])} for subset in result["subsets"]
+    ]
 
 
 def evenly(trace: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:

@@ -50,7 +50,7 @@ def written(value: object) -> str:
 
 
 def failure(kind: str | None) -> str:
-    """Why a job failed, in a sentence."""
+    """Returns the reason why a job failed, in a sentence."""
     return FAILURES.get(kind or "", "The job could not be finished.")
 
 
@@ -109,7 +109,7 @@ def count(number: int, thing: str, things: str | None = None) -> str:
 def setting(value: object) -> str:
     """A setting that was measured when the attack started, e.g. "color 0.0003, rotation 0.01", "1.5e-05" or "none"."""
     if isinstance(value, dict):
-        return ", ".join(f"{name} {setting(one)}" for name, one in value.items()) or "none"
+        return ", ".join(f"{name} {setting(part)}" for name, part in value.items()) or "none"
     if isinstance(value, list | tuple):
         return ", ".join(map(setting, value)) or "none"
     return f"{value:.3g}" if isinstance(value, float) else str(value)

@@ -136,8 +136,8 @@ async def _made(
     headers: dict[str, str],
     if_none_match: str | None,
 ) -> Response:
-    found = await run_in_threadpool(services.record.jobs.artifacts, job.id)
-    artifacts = {one.name: one.sha256 for one in found}
+    rows = await run_in_threadpool(services.record.jobs.artifacts, job.id)
+    artifacts = {artifact.name: artifact.sha256 for artifact in rows}
     if RESULT not in artifacts:
         how = "has not ended" if not job.state.terminal else f"ended as {job.state.value}"
         raise HTTPException(409, f"the job has no result to export: it {how}")

@@ -89,8 +89,8 @@ async def store(
     about: About,
 ) -> Entry:
     """Checks and stores the files of a form for its caller. Raises InvalidRequest, QuotaExceeded and Unavailable."""
-    await run_in_threadpool(services.quotas.check_upload, caller.owner, sum(one.size or 0 for one in files))
-    sent = Sent([(one.filename or "", one.file) for one in files], kind, mesh, about)
+    await run_in_threadpool(services.quotas.check_upload, caller.owner, sum(upload.size or 0 for upload in files))
+    sent = Sent([(upload.filename or "", upload.file) for upload in files], kind, mesh, about)
     adding = partial(services.assets.adding, caller.owner)
     return await services.uploads.add(sent, client, adding)
 
@@ -185,9 +185,9 @@ def get_scene_library(
     """Lists the meshes that match all given filters, the environment maps, of uploads those that match, and their
     credits.
     """
-    found = services.library.entries(category, creator, licence, search, services.assets.visible(caller))
-    meshes = [entry for entry in found if entry.kind != "environment"]
-    uploaded_maps = [entry for entry in found if entry.kind == "environment"]
+    entries = services.library.entries(category, creator, licence, search, services.assets.visible(caller))
+    meshes = [entry for entry in entries if entry.kind != "environment"]
+    uploaded_maps = [entry for entry in entries if entry.kind == "environment"]
     environments = [*services.library.environments(), *uploaded_maps]
     credits_ = {entry.credit for entry in [*meshes, *environments] if entry.credit is not None}
     listed = SceneLibrary(meshes=meshes, environments=environments, credits=sorted(credits_))

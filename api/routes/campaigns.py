@@ -78,11 +78,11 @@ def list_campaigns(
 ) -> CampaignPage:
     """Lists campaigns, newest first."""
     record = services.campaigns.record
-    found = record.page(state, limit + 1, None if cursor is None else read_campaign_cursor(cursor), caller.only)
-    progress = record.progress([campaign.id for campaign in found])
+    rows = record.page(state, limit + 1, None if cursor is None else read_campaign_cursor(cursor), caller.only)
+    progress = record.progress([campaign.id for campaign in rows])
     return CampaignPage(
-        items=[CampaignSummary.of(campaign, progress[campaign.id]) for campaign in found[:limit]],
-        next=campaign_cursor(found[limit - 1]) if len(found) > limit else None,
+        items=[CampaignSummary.of(campaign, progress[campaign.id]) for campaign in rows[:limit]],
+        next=campaign_cursor(rows[limit - 1]) if len(rows) > limit else None,
     )
 
 
@@ -133,9 +133,9 @@ def list_campaign_jobs(
     after: Annotated[int, Query(ge=-1, le=2**31 - 1, description="number of a job; the page begins after it")] = -1,
 ) -> CampaignJobPage:
     """Lists the planned jobs in the order in which they are queued."""
-    found = services.campaigns.record.jobs(campaign.id, limit + 1, after)
-    items = [CampaignJobView.of(planned, job) for planned, job in found[:limit]]
-    return CampaignJobPage(items=items, next=items[-1].number if len(found) > limit else None)
+    rows = services.campaigns.record.jobs(campaign.id, limit + 1, after)
+    items = [CampaignJobView.of(planned, job) for planned, job in rows[:limit]]
+    return CampaignJobPage(items=items, next=items[-1].number if len(rows) > limit else None)
 
 
 @router.get("/{campaign_id}/table.json")
@@ -175,10 +175,10 @@ def get_campaign_cases_csv(campaign: WholeCampaign, services: ServicesDependency
 
 
 def _again(campaign: Campaign, services: Services) -> Campaign:
-    found = services.campaigns.record.get(campaign.id, whole=True)
-    if found is None:
+    stored = services.campaigns.record.get(campaign.id, whole=True)
+    if stored is None:
         raise no_such("campaign")
-    return found
+    return stored
 
 
 def _view(campaign: Campaign, services: Services) -> CampaignView:

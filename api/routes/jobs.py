@@ -120,8 +120,8 @@ async def get_job(job_id: str, services: ServicesDependency, caller: CallerDepen
     """Returns one job, with its result once it succeeded."""
 
     def read() -> str | None:
-        found = services.record.jobs.get(job_id, with_result=True)
-        return None if found is None else JobView.of(found, with_result=True).model_dump_json()
+        stored = services.record.jobs.get(job_id, with_result=True)
+        return None if stored is None else JobView.of(stored, with_result=True).model_dump_json()
 
     # No dependency reads the job before: clients ask for this more often than for anything else.
     job = caller.visible(await services.reading(services.record.jobs.get, job_id))
@@ -130,10 +130,10 @@ async def get_job(job_id: str, services: ServicesDependency, caller: CallerDepen
     if job.state is not State.SUCCEEDED:
         return _json(JobView.of(job).model_dump_json())
     # A result may have a hundred thousand rows, which take seconds to check and to write.
-    found = await run_in_threadpool(read)
-    if found is None:  # it was deleted meanwhile
+    text = await run_in_threadpool(read)
+    if text is None:  # it was deleted meanwhile
         raise no_such("job")
-    return _json(found)
+    return _json(text)
 
 
 def _json(text: str) -> Response:

@@ -61,7 +61,7 @@ async def _check(
 
 def _read(body: RerenderingBody, services: Services, caller: Caller) -> tuple[bytes, RerenderingSpec]:
     """The image's bytes, and the job's request."""
-    given: dict[str, object] = {"target": {}}
+    fields: dict[str, object] = {"target": {}}
     if body.image.job is not None:
         job = caller.visible(services.record.jobs.get(body.image.job))
         artifact = None if job is None else services.record.jobs.artifact(job.id, body.image.artifact)
@@ -72,20 +72,20 @@ def _read(body: RerenderingBody, services: Services, caller: Caller) -> tuple[by
                 image = file.read()
         except FileNotFoundError as error:
             raise no_such("file of the job any more") from error
-        given = {"scene": job.spec["scene"], "target": job.spec["target"]}
+        fields = {"scene": job.spec["scene"], "target": job.spec["target"]}
     else:
         try:
             image = base64.b64decode(body.image.data or "", validate=True)
         except ValueError as error:
             raise InvalidRequest("image.data", "it is not base64") from error
     if body.scene is not None:
-        given["scene"] = body.scene.model_dump(mode="json")
+        fields["scene"] = body.scene.model_dump(mode="json")
     if body.target is not None:
-        given["target"] = body.target.model_dump(mode="json")
-    if "scene" not in given:
+        fields["target"] = body.target.model_dump(mode="json")
+    if "scene" not in fields:
         raise InvalidRequest("scene", "an image that is no file of a job needs its scene")
     about = {"image": sha256(image).hexdigest(), "fit": body.fit.model_dump(mode="json")}
-    spec = RerenderingSpec.model_validate(given | about)
+    spec = RerenderingSpec.model_validate(fields | about)
     if body.scene is not None:
         check_names(spec.attack(), names_of(services, caller))
     return image, spec

@@ -32,8 +32,8 @@ def limited(lock_seconds: float, arguments: dict[str, Any]) -> LimitedConnection
     """
     patience = 1.5 * lock_seconds
     limits = {"lock_timeout": lock_seconds, "idle_in_transaction_session_timeout": patience}
-    said = " ".join(f"-c {name}={round(1000 * seconds)}" for name, seconds in limits.items())
-    options = {"options": f"{arguments.get('options', '')} {said}".strip()}
+    settings = " ".join(f"-c {name}={round(1000 * seconds)}" for name, seconds in limits.items())
+    options = {"options": f"{arguments.get('options', '')} {settings}".strip()}
     connection = LimitedConnection.connect(**arguments | options)
     connection.answer_seconds = patience
     return connection

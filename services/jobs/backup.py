@@ -31,7 +31,7 @@ _VERSION = re.compile(r"\(PostgreSQL\) (\d+)")
 
 @dataclass(frozen=True)
 class DatabaseCopy:
-    """What the copy of a database names: its number of jobs, and the hashes of their artifacts."""
+    """Content of the copy of a database: its number of jobs, and the hashes of their artifacts."""
 
     jobs: int
     artifacts: frozenset[str]
@@ -50,10 +50,10 @@ def copy_database(engine: Engine, folder: Path) -> DatabaseCopy:
         program = _pg_dump(int(connection.scalar(text("SHOW server_version_num"))) // 10_000)
         # pg_dump sees what this transaction sees, and so do the queries
         snapshot = connection.scalar(text("SELECT pg_export_snapshot()"))
-        found = _read(connection)
+        content = _read(connection)
         with disk.replacing(folder / POSTGRESQL) as part:
             _dump(engine, [program, "--format=custom", "--no-owner", f"--snapshot={snapshot}", f"--file={part}"])
-    return found
+    return content
 
 
 def _copy_sqlite(engine: Engine, goal: Path) -> DatabaseCopy:
@@ -77,10 +77,10 @@ def _pg_dump(server: int) -> str:
     program = shutil.which("pg_dump")
     if program is None:
         raise InvalidRequest("pg_dump", f"the program is not on PATH; {remedy}")
-    said = subprocess.run([program, "--version"], capture_output=True, text=True, check=False).stdout
-    version = _VERSION.search(said)
+    output = subprocess.run([program, "--version"], capture_output=True, text=True, check=False).stdout
+    version = _VERSION.search(output)
     if version is None or int(version[1]) < server:
-        raise InvalidRequest("pg_dump", f"{said.strip() or program} cannot copy PostgreSQL {server}; {remedy}")
+        raise InvalidRequest("pg_dump", f"{output.strip() or program} cannot copy PostgreSQL {server}; {remedy}")
     return program
 
 
@@ -101,13 +101,13 @@ def _dump(engine: Engine, command: list[str]) -> None:
 
 
 PARTS = ("artifacts", "assets")
-"""What is copied of the place of artifacts. What else is there belongs to running jobs, which begin again without."""
+"""Folders of the artifact store that are copied. The others belong to running jobs, which begin again without."""
 _CHUNK_BYTES = 2**20
 
 
 @dataclass(frozen=True)
 class Backup:
-    """What a backup holds: the number of files and their bytes, and that of jobs."""
+    """Content of a backup: the number of files, their size in bytes, and the number of jobs."""
 
     files: int
     size: int
@@ -136,9 +136,9 @@ def back_up(settings: Settings, folder: Path) -> Backup:
     for part in PARTS:
         source = blobs(settings.files, part)
         for name in source.names():
-            found = _copy(source, name, folder / part / name)
-            if found is not None:
-                sha256, length = found
+            written = _copy(source, name, folder / part / name)
+            if written is not None:
+                sha256, length = written
                 files, size = files + 1, size + length
                 if sha256 == Path(name).name:
                     whole.add(sha256)

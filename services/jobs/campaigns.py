@@ -70,7 +70,7 @@ _OPEN = [state for state in CampaignState if not state.terminal]
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a campaign is."""
+    """Progress of a campaign: numbers of views with a first answer, and of jobs planned, ended and running."""
 
     views_answered: int
     jobs: int
@@ -101,8 +101,8 @@ class Campaigns:
         same key at the same moment.
         """
         with self._database.write(durable=True) as session:
-            given = None if key is None else Key(key, digest, owner)
-            if given is not None and (first := _first(session, given)) is not None:
+            client_key = None if key is None else Key(key, digest, owner)
+            if client_key is not None and (first := _first(session, client_key)) is not None:
                 return first
             if owner_campaigns is not None:
                 own = (Campaign.owner == owner, Campaign.state.in_(_OPEN))
@@ -118,7 +118,7 @@ class Campaigns:
                 spec=spec.model_dump(mode="json"),
                 created_at=now(session),
                 view_count=view_count,
-                key=None if given is None else given.stored,
+                key=None if client_key is None else client_key.stored,
                 owner=owner,
                 demand=demand.record(),
                 request_digest=digest,
@@ -201,7 +201,7 @@ class Campaigns:
         return session.scalar(changed) is not None
 
     def progress(self, campaign_ids: Sequence[str]) -> dict[str, Progress]:
-        """How far each of these campaigns is."""
+        """Returns the progress of each of these campaigns, by id."""
         own = Job.campaign_id.in_(campaign_ids)
         with self._database.read() as session:
             answered = session.execute(
@@ -221,13 +221,13 @@ class Campaigns:
         busy = {row[0]: row[1] for row in running}
         by_end = {(campaign, end): count for campaign, end, count in ended}
         return {
-            one: Progress(
-                views_answered=views.get(one, 0),
-                jobs=by_end.get((one, False), 0) + by_end.get((one, True), 0),
-                ended=by_end.get((one, True), 0),
-                running=busy.get(one, 0),
+            campaign_id: Progress(
+                views_answered=views.get(campaign_id, 0),
+                jobs=by_end.get((campaign_id, False), 0) + by_end.get((campaign_id, True), 0),
+                ended=by_end.get((campaign_id, True), 0),
+                running=busy.get(campaign_id, 0),
             )
-            for one in campaign_ids
+            for campaign_id in campaign_ids
         }
 
     def cases(self, campaign_id: str) -> tuple[list[tuple[str, str]], list[Case]]:
@@ -313,7 +313,7 @@ class Counts:
 
 @dataclass(frozen=True)
 class CampaignService:
-    """What doors do with campaigns."""
+    """Operations on campaigns for the API and the dashboard."""
 
     record: Campaigns
     queue: Queue
@@ -331,11 +331,11 @@ class CampaignService:
         Raises KeyReused if the key came with another request, and QuotaExceeded if `owner_campaigns` of the owner have
         not ended.
         """
-        given = (spec, len(views(spec)), request_digest(spec), key, owner, demand, owner_campaigns)
+        arguments = (spec, len(views(spec)), request_digest(spec), key, owner, demand, owner_campaigns)
         try:
-            return self.record.create(*given)
+            return self.record.create(*arguments)
         except IntegrityError:  # another process recorded the same key at the same moment
-            return self.record.create(*given)
+            return self.record.create(*arguments)
 
     def counts(self, campaign_id: str) -> Counts:
         """The results so far, and the time left with as many workers as there are now."""
@@ -364,22 +364,22 @@ class CampaignService:
         """The jobs that have ended, with what they are about; the campaign must have been read whole."""
         views = [ChosenView.model_validate(view) for view in campaign.views or []]
         by_number = {view.number: view for view in views}
-        return [_case_row(one, by_number.get(one.view)) for one in self.record.ended(campaign.id)]
+        return [_case_row(ended, by_number.get(ended.view)) for ended in self.record.ended(campaign.id)]
 
     def progress(self, campaign: Campaign) -> Progress:
-        """How far the campaign is."""
+        """Returns the progress of the campaign."""
         return self.record.progress([campaign.id])[campaign.id]
 
 
-def _case_row(one: EndedJob, view: ChosenView | None) -> CaseRow:
-    fields = {"target": one.case.target, "attack": one.case.attack, "seed": str(one.seed)}
+def _case_row(ended: EndedJob, view: ChosenView | None) -> CaseRow:
+    fields = {"target": ended.case.target, "attack": ended.case.attack, "seed": str(ended.seed)}
     about = {
         "scene": view.scene if view else "",
         "azimuth": f"{degrees(view.azimuth):.0f}°" if view else "",
         "truth": ", ".join(view.truth) if view else "",
         "first answer": (view.label or "") if view else "",
     }
-    return CaseRow(one.number, one.job, fields | about, one.case)
+    return CaseRow(ended.number, ended.job, fields | about, ended.case)
 
 
 def request_digest(spec: CampaignSpec) -> str:
@@ -417,7 +417,11 @@ class Feeder:
                     .order_by(Campaign.created_at, Campaign.id)
                 )
             )
-        self._expanded = {one: kept for one, kept in self._expanded.items() if one in {row.id for row in active}}
+        self._expanded = {
+            campaign_id: kept
+            for campaign_id, kept in self._expanded.items()
+            if campaign_id in {row.id for row in active}
+        }
         for campaign_id, state in active:
             try:
                 self._expand(campaign_id)
@@ -456,16 +460,16 @@ class Feeder:
     # Selection
 
     def _queue_selection(self, session: Session, campaign_id: str) -> bool:
-        _, found = self._expanded[campaign_id]
+        _, expanded = self._expanded[campaign_id]
         own = (Job.campaign_id == campaign_id, Job.kind == JobKind.SELECTION)
         begun = CHUNK * (session.scalar(select(func.count()).select_from(Job).where(*own)) or 0)
-        chunk = found[begun : begun + CHUNK]
+        chunk = expanded[begun : begun + CHUNK]
         if not chunk:
             return False
         asked = [{"number": view.number, "probe": view.probe.model_dump(mode="json")} for view in chunk]
         owner, demand = _sender(session, campaign_id)
         add_job(session, {"views": asked}, kind=JobKind.SELECTION, campaign_id=campaign_id, owner=owner, demand=demand)
-        return begun + CHUNK < len(found)
+        return begun + CHUNK < len(expanded)
 
     def _expand(self, campaign_id: str) -> None:
         if campaign_id not in self._expanded:
@@ -484,15 +488,15 @@ class Feeder:
 
     def _plan(self, campaign_id: str) -> None:
         """Chooses the views and plans the jobs, once all selection jobs have ended."""
-        campaign, found = self._expanded[campaign_id]
+        campaign, expanded = self._expanded[campaign_id]
         with self._database.read() as session:
             own = (Job.campaign_id == campaign_id, Job.kind == JobKind.SELECTION)
             asked = list(session.scalars(select(Job).where(*own).options(undefer(Job.result))))
-            named = titles(session, meshes_in(found))
-        if CHUNK * len(asked) < len(found) or not all(job.state.terminal for job in asked):
+            named = titles(session, meshes_in(expanded))
+        if CHUNK * len(asked) < len(expanded) or not all(job.state.terminal for job in asked):
             return
         answers = _answers(asked)
-        chosen, planned = plan(campaign, found, answers, named)
+        chosen, planned = plan(campaign, expanded, answers, named)
         rows = [
             {
                 "campaign_id": campaign_id,
@@ -523,7 +527,7 @@ class Feeder:
         log.info(
             "campaign planned",
             campaign=campaign_id,
-            views=len(found),
+            views=len(expanded),
             chosen=sum(view.chosen for view in chosen),
             jobs=len(rows),
         )
@@ -541,22 +545,22 @@ class Feeder:
         )
         planned = session.scalars(query).all()
         owner, demand = _sender(session, campaign_id)
-        for one in planned:
-            earlier = _earlier(session, one, owner) if campaign.reuse else None
+        for planned_job in planned:
+            earlier = _earlier(session, planned_job, owner) if campaign.reuse else None
             if earlier is None:
-                seed = int(one.spec["seed"])
+                seed = int(planned_job.spec["seed"])
                 job = add_job(
                     session,
-                    one.spec,
+                    planned_job.spec,
                     seed=seed,
-                    digest=one.digest,
+                    digest=planned_job.digest,
                     campaign_id=campaign_id,
                     owner=owner,
                     demand=demand,
                 )
-                one.job_id = job.id
+                planned_job.job_id = job.id
                 return True
-            one.job_id, one.reused = earlier, True
+            planned_job.job_id, planned_job.reused = earlier, True
         return False
 
     def _read_ended(self) -> int:
@@ -602,21 +606,21 @@ class Feeder:
 
 def _answers(asked: Sequence[Job]) -> dict[int, FirstAnswer]:
     """The first answers that selection jobs found. The views of a job that failed are refused with its reason."""
-    found: dict[int, FirstAnswer] = {}
+    by_view: dict[int, FirstAnswer] = {}
     for job in asked:
         if job.state is State.SUCCEEDED and job.result is not None:
-            answers = [FirstAnswer.model_validate(one) for one in job.result["answers"]]
+            answers = [FirstAnswer.model_validate(answer) for answer in job.result["answers"]]
         else:
             why = f"its first answer could not be found: {job.failure_kind or job.state.value}: {job.failure_detail}"
-            answers = [FirstAnswer(view=one["number"], refused=why) for one in job.spec["views"]]
-        found |= {answer.view: answer for answer in answers}
-    return found
+            answers = [FirstAnswer(view=view["number"], refused=why) for view in job.spec["views"]]
+        by_view |= {answer.view: answer for answer in answers}
+    return by_view
 
 
 def _sender(session: Session, campaign_id: str) -> tuple[str, Demand]:
     """The owner of a campaign, and what its jobs ask of the queue."""
-    found = session.execute(select(Campaign.owner, Campaign.demand).where(Campaign.id == campaign_id)).one()
-    return found.owner, CAMPAIGNS if found.demand is None else Demand.of(found.demand)
+    row = session.execute(select(Campaign.owner, Campaign.demand).where(Campaign.id == campaign_id)).one()
+    return row.owner, CAMPAIGNS if row.demand is None else Demand.of(row.demand)
 
 
 def _earlier(session: Session, planned: CampaignJob, owner: str) -> str | None:

@@ -101,7 +101,7 @@ class Child:
         return 1024 * sum(int(size) for size in _RESIDENT.findall(status))
 
     def idle_seconds(self) -> float:
-        """How long the child has done nothing, in seconds; see `HangDetector`."""
+        """Time in seconds for which the child has done nothing; see `HangDetector`."""
         return self._hangs.seconds()
 
     def send(self, message: dict[str, Any]) -> None:
@@ -231,7 +231,7 @@ def processor_seconds(session: int) -> float:
 WARM_PROCESSES = 2
 """Processes of the API that render (`api.warm_pool`)."""
 REST_BYTES = 2 * 2**30
-"""What the API, the workers, the supervisor, Redis and the system take."""
+"""Memory that the API, the workers, the supervisor, Redis and the system take, in bytes."""
 LEAST_MEMORY, MOST_MEMORY = 4 * 2**30, 16 * 2**30
 """Bounds of the default. A warm process has 1.1 GB of data (1.4 GB with PyTorch's CUDA build), and 2.0 GB (2.3 GB) with
 an image of 1024×1024 pixels."""

@@ -29,15 +29,15 @@ from services.settings import Settings
 
 MIGRATIONS = Path(__file__).parent / "migrations"
 LOCK_SECONDS = 10.0
-"""How long a transaction waits for another one's lock; SQLite has one writer at a time. A process that waits uses no
+"""Longest wait of a transaction for another one's lock; SQLite has one writer at a time. A process that waits uses no
 processor time, and must not be taken to hang: it waits for a quarter of that time at most.
 """
 CONNECT_SECONDS = 5
-"""How long to wait for PostgreSQL's answer to a new connection."""
+"""Longest wait for PostgreSQL's answer to a new connection."""
 _SQLITE_FILES = {"jobs.sqlite", "jobs.sqlite-shm", "jobs.sqlite-wal", "migrate.lock", "reserve"}
 _DATABASE_FILES = _SQLITE_FILES | {"database.dump", "serve.lock"}
 IN_DATA_FOLDER = frozenset(_DATABASE_FILES | {"artifacts", "assets", "checkpoints", "running", "demo", "service.log"})
-"""What a data directory may hold, also one that a backup or the demonstration made."""
+"""Names that a data directory may hold, also one that a backup or the demonstration made."""
 _MIGRATING = 0x5CE4EA77
 """The number of the lock that PostgreSQL gives one migration at a time."""
 
@@ -181,8 +181,8 @@ def now(session: Session) -> datetime:
         return clock()
     if session.get_bind().dialect.name == "sqlite":  # it is part of this process, and has this machine's clock
         return datetime.now(UTC)
-    found: datetime = session.scalars(select(func.clock_timestamp())).one()
-    return found.astimezone(UTC)
+    moment: datetime = session.scalars(select(func.clock_timestamp())).one()
+    return moment.astimezone(UTC)
 
 
 def migrate(engine: Engine, settings: Settings) -> None:

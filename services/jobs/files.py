@@ -107,7 +107,7 @@ COPY_SECONDS = 10.0
 SHARE = 0.1
 """Part of the time that copies may take: after one that took long, the next waits."""
 WAIT_SECONDS = 10.0
-"""How long the end of an attack waits for a copy that is being made."""
+"""Longest wait at the end of an attack for a copy that is being made."""
 _DIGEST_BYTES = hashlib.sha256().digest_size
 
 log = logger(__name__)
@@ -267,11 +267,11 @@ class WorkingFiles:
 FREE_BYTES = 16 * 2**20
 """Free space below which the disk is full: the files of a job take a few megabytes."""
 REMEMBER_SECONDS = 1.0
-"""Time for which what was found is remembered."""
+"""Time for which the answer of `Storage.usable` is remembered."""
 RESERVE = "reserve"
 """The file in the data directory whose space is given up when the disk is full."""
 RESERVE_BYTES = 4 * 2**20
-"""Its size. SQLite's log, to which the record of a cancelled job adds some tens of kilobytes, grows to 4 MB."""
+"""Size of that file, in bytes. SQLite's log grows to 4 MB; the record of a cancelled job adds tens of kilobytes."""
 _PROBE = bytes(4096)
 
 T = TypeVar("T")

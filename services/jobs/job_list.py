@@ -73,8 +73,8 @@ def parse_query(text: str) -> tuple[Term, ...]:
     """The terms of a query. Raises InvalidRequest("q"), which says where the query cannot be read and what is right."""
     if len(text) > LONGEST_QUERY:
         raise InvalidRequest("q", f"a query has at most {LONGEST_QUERY:,} characters, and this one {len(text):,}")
-    if found := unfit(text.replace("\n", " ").replace("\t", " ")):
-        raise _unread(found.start(), f"this is the character {character(found)}, which no name, title or tag has")
+    if match := unfit(text.replace("\n", " ").replace("\t", " ")):
+        raise _unread(match.start(), f"this is the character {character(match)}, which no name, title or tag has")
     terms, at = [], 0
     while at < len(text):
         if text[at].isspace():
@@ -93,8 +93,8 @@ def parse_query(text: str) -> tuple[Term, ...]:
     return tuple(terms)
 
 
-def _term(found: re.Match[str]) -> Term:
-    wanted, field, sign, value, at = not found["minus"], found["field"], found["sign"], found["value"], found.start()
+def _term(match: re.Match[str]) -> Term:
+    wanted, field, sign, value, at = not match["minus"], match["field"], match["sign"], match["value"], match.start()
     if field is None:
         if value in FLAGS:
             return Term(value, "=", (), wanted)
@@ -105,8 +105,8 @@ def _term(found: re.Match[str]) -> Term:
     if field not in FIELDS:
         if field in FLAGS:
             raise _unread(at, f"{field} stands alone: {field}, or -{field}")
-        raise _unread(found.start("field"), f"there is no field {field!r}; {there_are(field, FIELDS)}")
-    at = found.start("value")
+        raise _unread(match.start("field"), f"there is no field {field!r}; {there_are(field, FIELDS)}")
+    at = match.start("value")
     if not value:
         raise _unread(at, f"{field}{sign} needs a value, as in {EXAMPLE}")
     if field in NUMBERS:
@@ -114,13 +114,13 @@ def _term(found: re.Match[str]) -> Term:
     if field in TIMES:
         return Term(field, _comparison(sign), (_time(value, at),), wanted)
     if sign not in (":", "="):
-        raise _unread(found.start("sign"), f"{field} is a text: write {field}:{value}")
-    values = tuple(_unquoted(one) for one in _COMMA.split(value))
+        raise _unread(match.start("sign"), f"{field} is a text: write {field}:{value}")
+    values = tuple(_unquoted(part) for part in _COMMA.split(value))
     if not all(values):
         raise _unread(at, f"{field} needs a value before and after each comma")
-    for one in values:
-        if field in _CHOICES and one not in _CHOICES[field]:
-            raise _unread(at, f"there is no {field} {one!r}; {there_are(one, _CHOICES[field])}")
+    for choice in values:
+        if field in _CHOICES and choice not in _CHOICES[field]:
+            raise _unread(at, f"there is no {field} {choice!r}; {there_are(choice, _CHOICES[field])}")
     return Term(field, "=", values, wanted)
 
 
@@ -203,9 +203,9 @@ _UNLISTED = [
     "lease_owner",
     "lease_until",
 ]
-LISTED = tuple(one for one in Job.__table__.columns if one.name not in _UNLISTED)
+LISTED = tuple(column for column in Job.__table__.columns if column.name not in _UNLISTED)
 """The columns of a job that lists read."""
-_NAMES = tuple(one.name for one in LISTED)
+_NAMES = tuple(column.name for column in LISTED)
 
 
 class ListedJob(SimpleNamespace):
@@ -232,7 +232,7 @@ SORTS: dict[str, Any] = {
     "queries": Job.queries,
     "seconds": Job.seconds,
 }
-"""What a list may be sorted by, and the column. A job without a value comes last, in both directions."""
+"""Keys by which a list may be sorted, each with its column. A job without a value comes last, in both directions."""
 _COLUMNS: dict[str, InstrumentedAttribute[Any]] = {
     "created": Job.created_at,
     "ended": Job.ended_at,
@@ -272,11 +272,13 @@ class ListPage:
 
     jobs: list[ListedJob]
     first: Place | None
+    """Place of the first job on the page; None for an empty page."""
     last: Place | None
-    """Where the page begins and ends; None for an empty one."""
+    """Place of the last job on the page; None for an empty page."""
     more_before: bool
+    """Whether the list has jobs before the page."""
     more_after: bool
-    """Whether the list has jobs before and after the page."""
+    """Whether the list has jobs after the page."""
 
 
 @dataclass(frozen=True)
@@ -315,27 +317,27 @@ class JobLists:
         """
         column, descending = SORTS[sort.removeprefix("-")], sort.startswith("-")
         by_age = column is Job.created_at  # whose index leads to the rows; any other order is made of `LISTED_BY` alone
-        wanted = LISTED if by_age else (Job.id, column.label("value"), Job.created_at)
-        query = self._matching(select(*wanted), terms, owner)
+        columns = LISTED if by_age else (Job.id, column.label("value"), Job.created_at)
+        query = self._matching(select(*columns), terms, owner)
         place = after or before
         backwards = after is None and before is not None
         if place is not None:
             query = query.where(_beyond(column, place, descending=descending, backwards=backwards))
         query = query.order_by(*_order(column, descending=descending, backwards=backwards)).limit(limit + 1)
         with self._database.read() as session:
-            found = session.execute(query).all()
-            more, found = len(found) > limit, list(found[:limit])
+            rows = session.execute(query).all()
+            more, rows = len(rows) > limit, list(rows[:limit])
             if backwards:
-                found.reverse()
+                rows.reverse()
             if by_age:
-                jobs = list(listed_jobs(found))
+                jobs = list(listed_jobs(rows))
             else:
-                ids = [one.id for one in found]
+                ids = [row.id for row in rows]
                 read = listed_jobs(session.execute(select(*LISTED).where(Job.id.in_(ids))))
                 by_id = {job.id: job for job in read}
                 jobs = [by_id[job_id] for job_id in ids if job_id in by_id]
         places = [
-            Place(one.created_at if by_age else one.value, one.created_at, one.id) for one in (*found[:1], *found[-1:])
+            Place(row.created_at if by_age else row.value, row.created_at, row.id) for row in (*rows[:1], *rows[-1:])
         ]
         return ListPage(
             jobs=jobs,
@@ -362,7 +364,7 @@ class JobLists:
         )
 
     def marks(self) -> dict[str, str]:
-        """By owner a text that changes when a job of the owner is submitted, moves or gets further, or ends.
+        """Returns, by owner, a text that changes when a job of the owner is submitted, moves or gets further, or ends.
 
         A job may begin and end between two looks: the newest jobs are looked at, too.
         """
@@ -423,11 +425,13 @@ def _met(term: Term) -> ColumnElement[bool]:
 def _one(term: Term, value: Any) -> ColumnElement[bool]:
     if term.field == "":
         columns = (column.icontains(value, autoescape=True) for column in _ANYWHERE)
-        return or_(Job.id.startswith(value, autoescape=True), *(func.coalesce(one, False) for one in columns))
+        return or_(Job.id.startswith(value, autoescape=True), *(func.coalesce(column, False) for column in columns))
     if term.field == "id":
         return Job.id.startswith(value, autoescape=True)
     if term.field == "name":
-        return or_(*(func.coalesce(one.icontains(value, autoescape=True), False) for one in (Job.title, Job.name)))
+        return or_(
+            *(func.coalesce(column.icontains(value, autoescape=True), False) for column in (Job.title, Job.name))
+        )
     column = _COLUMNS[term.field]
     if isinstance(value, str):
         return column.icontains(value, autoescape=True)

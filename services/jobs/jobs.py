@@ -48,7 +48,7 @@ class Key:
 
     @property
     def stored(self) -> str:
-        """What the record has of it, at most 255 characters: each owner has keys of its own."""
+        """The key in the record, at most 255 characters. Keys of different owners never clash."""
         return sha256(f"{self.owner}\n{self.value}".encode()).hexdigest() if self.owner else self.value
 
 
@@ -61,7 +61,7 @@ class News:
 
 
 PAGE_ROWS = 500
-"""Rows that one query reads at most of what may be long."""
+"""Page size of queries whose result may be long."""
 JOBS_PER_DELETION = 200
 """Jobs that one transaction deletes, and hashes that one query looks for."""
 _AS_LISTED = (defer(Job.spec), defer(Job.result))
@@ -122,11 +122,11 @@ class Jobs:
             if file is not None:
                 about = {"name": file.name, "sha256": file.sha256, "size": file.size, "media_type": file.media_type}
                 session.add(Artifact(job_id=job.id, **about))
-            said = answer(job)
+            reply = answer(job)
             if key is not None:
-                values = {"key": key.stored, "digest": key.digest, "answer": said, "created_at": job.created_at}
+                values = {"key": key.stored, "digest": key.digest, "answer": reply, "created_at": job.created_at}
                 session.add(IdempotencyKey(job_id=job.id, **values))
-            return job, said
+            return job, reply
 
     def first_answer(self, key: Key) -> dict[str, Any] | None:
         """The answer to the first request with this key, or None for a new key. Raises KeyReused."""
@@ -163,10 +163,11 @@ class Jobs:
             return session.get(Job, job_id)
 
     def news(self, seen: Mapping[str, int]) -> dict[str, News]:
-        """Of each job by its id and the number of its last event that was seen: what is new. Without the jobs of which
-        there is nothing new.
+        """Returns the news of each job since the event in `seen`, which has the number of the last one seen by job id.
+
+        Jobs without news are left out.
         """
-        found = {}
+        news = {}
         with self._database.read() as session:
             for start in range(0, len(seen), PAGE_ROWS):
                 ids = list(seen)[start : start + PAGE_ROWS]
@@ -175,12 +176,12 @@ class Jobs:
                 for job_id in ids:
                     now = standing.get(job_id)
                     if now is None:
-                        found[job_id] = News([], True)
+                        news[job_id] = News([], True)
                     elif now.events > seen[job_id]:
                         events = list(session.scalars(_events(job_id, seen[job_id], PAGE_ROWS)))
                         last = events[-1].number if events else now.events  # none: it was deleted meanwhile
-                        found[job_id] = News(events, now.state.terminal and last >= now.events)
-        return found
+                        news[job_id] = News(events, now.state.terminal and last >= now.events)
+        return news
 
     def events(self, job_id: str, after: int, limit: int = PAGE_ROWS) -> list[Event]:
         """At most `limit` events of a job with a number above `after`, in order."""
@@ -204,11 +205,11 @@ class Jobs:
         """
         with self._database.write() as session:
             lock(session, job_id)
-            found = session.execute(select(Job.state).where(Job.id == job_id)).one_or_none()
-            if found is None:
+            row = session.execute(select(Job.state).where(Job.id == job_id)).one_or_none()
+            if row is None:
                 return []
-            if not found.state.terminal:
-                raise InUse(f"the job is {found.state.value}; cancel it, and delete it once it has ended")
+            if not row.state.terminal:
+                raise InUse(f"the job is {row.state.value}; cancel it, and delete it once it has ended")
             campaign = session.scalar(select(CampaignJob.campaign_id).where(CampaignJob.job_id == job_id).limit(1))
             if campaign is not None:
                 raise InUse(f"the campaign {campaign} refers to the job")
@@ -228,7 +229,7 @@ class Jobs:
             return self._delete(session, session.scalars(old.with_for_update()).all())
 
     def unnamed(self, hashes: Collection[str]) -> set[str]:
-        """Those of some hashes that no job's artifact has."""
+        """Returns those of the hashes that no job's artifact has."""
         left, asked = set(hashes), sorted(hashes)
         with self._database.read() as session:
             for start in range(0, len(asked), JOBS_PER_DELETION):
@@ -274,7 +275,7 @@ def add_job(
         owner=owner,
         priority=demand.priority,
         needs=demand.needs(targets_of(spec)).text,
-        warnings=[one.model_dump(mode="json") for one in warnings],
+        warnings=[warning.model_dump(mode="json") for warning in warnings],
         events=1,
         retry_of=retry_of,
         **(listed(spec, titles(session, uploads_of(spec))) if kind is not JobKind.SELECTION else {}),

@@ -79,10 +79,10 @@ class Leases:
     def standing(self, attempt: Attempt) -> Standing:
         """Reads whether the attempt should go on."""
         with self._database.read() as session:
-            found = session.execute(select(Job.state, Job.attempt).where(Job.id == attempt.job_id)).one_or_none()
-        if found is None or found.attempt != attempt.number or found.state not in ACTIVE:
+            row = session.execute(select(Job.state, Job.attempt).where(Job.id == attempt.job_id)).one_or_none()
+        if row is None or row.attempt != attempt.number or row.state not in ACTIVE:
             return Standing.LOST
-        return Standing.CANCEL if found.state == State.CANCELLING else Standing.GO_ON
+        return Standing.CANCEL if row.state == State.CANCELLING else Standing.GO_ON
 
     def renew(self, attempt: Attempt, seconds: float) -> Standing:
         """Extends the lease to `seconds` from now. Returns the attempt's standing."""
@@ -135,17 +135,17 @@ class Leases:
     def reject(self, attempt: Attempt, error: InvalidRequest) -> bool:
         """Ends a job whose request cannot run. Returns False if the attempt was fenced off."""
         with self._database.write() as session:
-            said = [{"field": error.field, "detail": without_folders(error.detail)}]
-            return self._end(session, attempt, State.REJECTED, errors=said)
+            errors = [{"field": error.field, "detail": without_folders(error.detail)}]
+            return self._end(session, attempt, State.REJECTED, errors=errors)
 
     def checked(self, attempt: Attempt, spec: dict[str, Any], digest: str, warnings: Sequence[JobWarning]) -> None:
         """Records that the request of the attempt's job can run: `spec` with what was left open filled in, its digest,
         and what its sender is warned of. Changes nothing if the attempt was fenced off.
         """
-        said = [one.model_dump(mode="json") for one in warnings]
+        warned = [warning.model_dump(mode="json") for warning in warnings]
         with self._database.write() as session:
             names = listed(spec, titles(session, uploads_of(spec)))
-            values = {"checked": True, "spec": spec, "digest": digest, "warnings": said, **names}
+            values = {"checked": True, "spec": spec, "digest": digest, "warnings": warned, **names}
             session.execute(update(Job).where(*_fence(attempt)).values(values))
 
     def cancelled(self, attempt: Attempt, artifacts: Sequence[Artifact] = ()) -> bool:
@@ -190,10 +190,10 @@ class Leases:
                 gone = or_(gone, Job.lease_owner == owner)
             ended = select(Job.id, Job.attempt).where(Job.state.in_(ACTIVE), gone)
             # in one order, so that two supervisors that take jobs back at once wait for each other and never in a ring
-            found = session.execute(ended.order_by(Job.id).with_for_update()).all()
-            for job_id, number in found:
+            rows = session.execute(ended.order_by(Job.id).with_for_update()).all()
+            for job_id, number in rows:
                 self._return(session, Attempt(job_id, number), lost=1)
-        return [job_id for job_id, _ in found]
+        return [job_id for job_id, _ in rows]
 
     def _return(self, session: Session, attempt: Attempt, *, lost: int, why: str = DIED) -> None:
         lock(session, attempt.job_id)
@@ -226,7 +226,7 @@ def _reached(step: int, queries: int) -> dict[str, Any]:
 
 
 def distance(phase: str | None, step: int | None) -> int:
-    """How far a job has come, as a number that grows with its phases and steps; 0 before it has reported any."""
+    """Progress of a job as a number that grows with its phases and steps; 0 before it has reported any."""
     return 0 if phase is None else (PHASES.index(phase) << 32) + (step or 0)
 
 

@@ -56,7 +56,9 @@ def place(before: tuple[datetime, str]) -> ColumnElement[Any]:
 
 
 def _words(kind: type[StrEnum]) -> Enum:
-    return Enum(kind, native_enum=False, length=16, values_callable=lambda members: [one.value for one in members])
+    return Enum(
+        kind, native_enum=False, length=16, values_callable=lambda members: [member.value for member in members]
+    )
 
 
 class Base(DeclarativeBase):
@@ -78,8 +80,8 @@ LISTED_BY = (
     *("kind", "created_at", "id", "state", "owner", "campaign_id", "title", "scene", "renderer", "method", "target"),
     *("verdict", "verified", "p", "queries", "seconds", "ended_at", "priority"),
 )
-"""What lists filter, sort and count by, in one index: they need not read the rows, whose requests and results are long.
-Together the texts stay below the 2.7 kB that PostgreSQL allows an entry.
+"""Columns by which lists filter, sort and count, in one index: they need not read the rows, whose requests and results
+are long. Together the texts stay below the 2.7 kB that PostgreSQL allows an entry.
 """
 
 
@@ -110,13 +112,13 @@ class Job(Base):
     campaign_id: Mapped[str | None] = mapped_column(String(32))
     """The campaign that queued the job."""
     owner: Mapped[str] = mapped_column(String(100), default="", server_default="")
-    """Who sent the job or its campaign: the owner of the key, "" for a service without keys."""
+    """Sender of the job or its campaign: the owner of the key, "" for a service without keys."""
 
     priority: Mapped[Priority] = mapped_column(default=Priority.NORMAL, server_default="normal")
     needs: Mapped[str] = mapped_column(Text)
-    """What a worker must have to run it (services.jobs.placement.Needs.text)."""
+    """Requirements on the worker that runs it (services.jobs.placement.Needs.text)."""
     waiting: Mapped[str | None] = mapped_column(Text)
-    """Why none of the live workers takes the queued job; None if one of them can."""
+    """Reason why none of the live workers takes the queued job; None if one of them can."""
 
     # What lists show of `spec` (services.jobs.job_list); None for jobs that no list shows.
     name: Mapped[str | None] = mapped_column(String(300))
@@ -158,7 +160,7 @@ class Job(Base):
     lost: Mapped[int] = mapped_column(default=0)
     """Number of attempts in a row that ended with their process before they got further than those before."""
     furthest: Mapped[int] = mapped_column(BigInteger, default=0, server_default=text("0"))
-    """How far lost attempts got (services.jobs.leases.distance)."""
+    """Greatest progress of the lost attempts (services.jobs.leases.distance)."""
     lease_owner: Mapped[str | None] = mapped_column(String(100))
     lease_until: Mapped[datetime | None]
 
@@ -167,7 +169,7 @@ class Job(Base):
     errors: Mapped[list[dict[str, Any]] | None]
     """The invalid fields of a rejected job, each as {"field", "detail"}."""
     warnings: Mapped[list[Any]]
-    """What the sender was warned of (services.pipeline.result.JobWarning)."""
+    """Warnings to the sender (services.pipeline.result.JobWarning)."""
     phase: Mapped[str | None] = mapped_column(String(32))
     step: Mapped[int | None]
     steps: Mapped[int | None]
@@ -271,9 +273,9 @@ class Campaign(Base):
     paused_at: Mapped[datetime | None]
     ended_at: Mapped[datetime | None]
     failure: Mapped[str | None] = mapped_column(Text)
-    """Why the campaign cannot go on."""
+    """Reason why the campaign cannot go on."""
     demand: Mapped[dict[str, Any] | None]
-    """What its jobs ask of the queue (services.jobs.placement.Demand)."""
+    """Demands of its jobs on the queue (services.jobs.placement.Demand)."""
     view_count: Mapped[int]
     views: Mapped[list[dict[str, Any]] | None] = mapped_column(deferred=True)
     """Every view, with the first answer and why it is not attacked (services.pipeline.campaign_plan.ChosenView)."""
@@ -304,7 +306,7 @@ class CampaignJob(Base):
     ended: Mapped[bool] = mapped_column(default=False)
     """Whether the job has ended and `case` says how."""
     case: Mapped[dict[str, Any] | None]
-    """What the table needs to know (services.analysis.campaign_table.Case)."""
+    """The job as a case of the campaign's table (services.analysis.campaign_table.Case)."""
     curves: Mapped[dict[str, Any] | None] = mapped_column(deferred=True)
     """The curves of the trace (services.analysis.campaign_table.Curves)."""
 

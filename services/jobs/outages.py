@@ -28,12 +28,12 @@ _IN_DATABASE = {
 }
 """Parts of what SQLite and PostgreSQL say when they cannot write."""
 _OS_ERROR = re.compile(r"\(os error (\d+)\)")
-"""How libraries written in Rust, such as safetensors, say the number of an error of the system."""
+"""Error number of the system in the messages of libraries written in Rust, such as safetensors."""
 
 
 @dataclass(frozen=True)
 class Outage:
-    """What is away, by its name in `/readyz`, and a sentence for a person."""
+    """A resource that is away, by its name in `/readyz`, and a sentence for a person."""
 
     resource: Literal["database", "redis", "storage"]
     detail: str
@@ -47,9 +47,9 @@ def outage_of(error: BaseException | None) -> Outage | None:
     seen: set[int] = set()
     while error is not None and id(error) not in seen:
         seen.add(id(error))
-        found = _outage(error)
-        if found is not None:
-            return found
+        outage = _outage(error)
+        if outage is not None:
+            return outage
         error = error.__cause__ or error.__context__
     return None
 
@@ -66,8 +66,8 @@ def _outage(error: BaseException) -> Outage | None:
         return Outage("database", "the database is read-only")
     if isinstance(error, OSError):
         return _storage(error.errno)
-    said = _OS_ERROR.search(str(error)) if type(error).__name__ == "SafetensorError" else None
-    return None if said is None else _storage(int(said[1]))
+    match = _OS_ERROR.search(str(error)) if type(error).__name__ == "SafetensorError" else None
+    return None if match is None else _storage(int(match[1]))
 
 
 def _storage(number: int | None) -> Outage | None:

@@ -21,7 +21,7 @@ class Priority(StrEnum):
 
 @dataclass(frozen=True)
 class Needs:
-    """What a job needs: the names of its networks, sorted; a kind of device, None for any; bytes of memory."""
+    """Needs of a job: the names of its networks, sorted; a kind of device, None for any; bytes of memory."""
 
     targets: tuple[str, ...] = ()
     device: Device | None = None
@@ -40,7 +40,7 @@ class Needs:
 
 
 def _is_names(data: object) -> bool:
-    return isinstance(data, list) and all(isinstance(one, str) for one in data)
+    return isinstance(data, list) and all(isinstance(item, str) for item in data)
 
 
 ANY_WORKER = Needs()
@@ -49,7 +49,7 @@ ANY_WORKER = Needs()
 
 @dataclass(frozen=True)
 class Demand:
-    """What the sender of a job or a campaign asks of the queue; it is no part of the request and changes no result."""
+    """Demand of a sender on the queue, for a job or a campaign. It is no part of the request and changes no result."""
 
     priority: Priority = Priority.NORMAL
     device: Device | None = None
@@ -72,12 +72,12 @@ class Demand:
 NO_DEMAND = Demand()
 """A job of normal priority that any worker with its networks may run."""
 CAMPAIGNS = Demand(Priority.LOW)
-"""That of campaigns, unless they ask for something else: single jobs come first."""
+"""Demand of campaigns that ask for nothing else: single jobs come first."""
 
 
 @dataclass(frozen=True)
 class Abilities:
-    """What a worker has: its kind of device, the names of its networks, and the memory of a job in bytes."""
+    """Abilities of a worker: its kind of device, the names of its networks, and the memory of a job in bytes."""
 
     device: str = "cpu"
     targets: frozenset[str] = field(default_factory=frozenset)
@@ -99,7 +99,7 @@ class Abilities:
         return {"device": self.device, "targets": sorted(self.targets), "memory": self.memory}
 
     def lacks(self, needs: Needs) -> str | None:
-        """What a worker with these abilities lacks for a job, in words; None if it can run the job."""
+        """Names what a worker with these abilities lacks for a job, in words; None if it can run the job."""
         missing = [name for name in needs.targets if name not in self.targets]
         if missing:
             return f"the network {missing[0]!r}"
@@ -111,7 +111,7 @@ class Abilities:
 
 
 NOTHING = Abilities()
-"""Those of a worker that has no network."""
+"""Abilities of a worker that has no network."""
 
 
 def targets_of(spec: Mapping[str, Any]) -> list[str]:
@@ -126,11 +126,11 @@ def targets_of(spec: Mapping[str, Any]) -> list[str]:
 
 
 def why_waiting(needs: Needs, workers: Sequence[Abilities]) -> str | None:
-    """Why a queued job is taken by none of the live workers; None if one of them can run it."""
+    """Returns the reason why none of the live workers takes a queued job; None if one of them can run it."""
     if not workers:
         return "no worker is running"
     lacking = [worker.lacks(needs) for worker in workers]
     if None in lacking:
         return None
-    words = sorted({one for one in lacking if one is not None})
+    words = sorted({reason for reason in lacking if reason is not None})
     return f"no worker that is running has {' or '.join(words[:3])}"

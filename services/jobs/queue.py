@@ -25,7 +25,7 @@ ANSWER_SECONDS = 3
 """Time after which Redis is taken to be away."""
 _SIGN = f"{NAME}:worker:"
 _RING = "ring"
-"""What a bell asks for. No function has this name."""
+"""Function that a bell names, as RQ demands. No function has this name."""
 
 
 def connect(url: str | None) -> Redis:
@@ -92,11 +92,11 @@ class Queue:
         return sum(1 for _ in self.redis.scan_iter(match=_SIGN + "*", count=1000))
 
     def workers(self) -> list[Abilities]:
-        """What the workers with a heartbeat in the last 15 seconds have. Raises RedisError."""
+        """Returns the abilities of the workers with a heartbeat in the last 15 seconds. Raises RedisError."""
         keys = list(self.redis.scan_iter(match=_SIGN + "*", count=1000))
-        said = cast(list[bytes | None], self.redis.mget(keys)) if keys else []
-        found = []
-        for one in said:
+        messages = cast(list[bytes | None], self.redis.mget(keys)) if keys else []
+        abilities = []
+        for message in messages:
             with suppress(ValueError, RecursionError):  # what somebody planted
-                found.append(Abilities.of(json.loads(one or b"")))
-        return found
+                abilities.append(Abilities.of(json.loads(message or b"")))
+        return abilities

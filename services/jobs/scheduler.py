@@ -21,7 +21,7 @@ class Waiting:
     priority: Priority
     needs: Needs
     why: str | None
-    """Why no live worker can run them; None if one can."""
+    """Reason why no live worker can run them; None if one can."""
 
 
 class Scheduler:
@@ -74,12 +74,12 @@ def reconcile(scheduler: Scheduler, queue: Queue) -> None:
     There are then as many bells as workers: one that cannot run the job may answer first, and drops its bell.
     """
     workers = queue.workers()
-    wanted: set[Priority] = set()
+    priorities: set[Priority] = set()
     for waiting in scheduler.waiting():
         why = why_waiting(waiting.needs, workers)
         if why != waiting.why:
             scheduler.explain(waiting, why)
         if why is None:
-            wanted.add(waiting.priority)
-    for priority in wanted:
+            priorities.add(waiting.priority)
+    for priority in priorities:
         queue.ring(priority, len(workers) - queue.bells(priority))

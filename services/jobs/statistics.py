@@ -117,15 +117,15 @@ class Figures:
 
 
 def _stages(totals: dict[str, dict[str, float]]) -> dict[str, StageTimes]:
-    found = {}
+    histograms = {}
     for stage, seconds in totals.pop("stage_seconds", {}).items():
         up_to, below = [], 0.0
         for bound in (*STAGE_BOUNDS, "+Inf"):
             below += totals["stage"].get(f"{stage} {bound}", 0)
             up_to.append((str(bound), below))
-        found[stage] = StageTimes(up_to, seconds)
+        histograms[stage] = StageTimes(up_to, seconds)
     totals.pop("stage", None)
-    return found
+    return histograms
 
 
 @dataclass(frozen=True)
@@ -138,7 +138,7 @@ class TargetRecord:
     right_before: int = 0
     """Jobs that ran to their end, on scenes that the network had right."""
     successes: int = 0
-    """Those of them that fooled the network, verified."""
+    """Jobs among `right_before` that fooled the network, verified."""
     weights_sha256: str | None = None
     """Hex SHA-256 of the weights of the newest job that ran to its end; None if there is none."""
 
@@ -169,25 +169,25 @@ class TargetRecords:
             .where(*own)
             .subquery()
         )
-        found: dict[str, TargetRecord] = {}
+        records: dict[str, TargetRecord] = {}
         with self._database.read() as session:
             query = select(*answers.columns, func.count().label("jobs")).group_by(*answers.columns)
             for row in session.execute(query).all():
-                one = found.get(row.target, TargetRecord())
+                record = records.get(row.target, TargetRecord())
                 counted = row.jobs if row.state is State.SUCCEEDED and row.right_before else 0
-                found[row.target] = replace(
-                    one,
-                    jobs=one.jobs + row.jobs,
-                    open=one.open + (0 if row.state.terminal else row.jobs),
-                    right_before=one.right_before + counted,
-                    successes=one.successes + (counted if row.verified and row.outcome == SUCCESS else 0),
+                records[row.target] = replace(
+                    record,
+                    jobs=record.jobs + row.jobs,
+                    open=record.open + (0 if row.state.terminal else row.jobs),
+                    right_before=record.right_before + counted,
+                    successes=record.successes + (counted if row.verified and row.outcome == SUCCESS else 0),
                 )
-            for target in found:
+            for target in records:
                 weights = (
                     select(Job.result["provenance"]["weights_sha256"].as_string())
                     .where(*own, Job.target == target, Job.state == State.SUCCEEDED)
                     .order_by(Job.created_at.desc())
                     .limit(1)
                 )
-                found[target] = replace(found[target], weights_sha256=session.scalar(weights))
-        return found
+                records[target] = replace(records[target], weights_sha256=session.scalar(weights))
+        return records

@@ -27,7 +27,7 @@ NAMED = 5
 
 
 def uploads_among(meshes: Iterable[str]) -> list[str]:
-    """Those of some names of meshes that are of uploads, each once and sorted."""
+    """Returns those of the names of meshes that are of uploads, each once and sorted."""
     return sorted({name for name in meshes if name.startswith("sha256:")})
 
 
@@ -68,8 +68,8 @@ def check_held(session: Session, names: Iterable[str], check_meshes: Callable[[C
 
 def titles(session: Session, names: Iterable[str]) -> dict[str, str]:
     """The titles of those of some uploads that have one, by name."""
-    found = select(Asset.name, Asset.title).where(Asset.name.in_(sorted(names)), Asset.title.is_not(None))
-    return {name: title for name, title in session.execute(found) if title is not None}
+    query = select(Asset.name, Asset.title).where(Asset.name.in_(sorted(names)), Asset.title.is_not(None))
+    return {name: title for name, title in session.execute(query) if title is not None}
 
 
 def refer_from_job(session: Session, job_id: str, names: Iterable[str]) -> None:
@@ -91,8 +91,8 @@ def check_unused(session: Session, name: str, owner: str | None, *, by_others: b
     campaigns = campaigns.where(CampaignAsset.name == name)
     own_jobs = jobs if owner is None else jobs.where(Job.owner == owner)
     own_campaigns = campaigns if owner is None else campaigns.where(Campaign.owner == owner)
-    users = [f"job {one}" for one in session.scalars(own_jobs.limit(NAMED))]
-    users += [f"campaign {one}" for one in session.scalars(own_campaigns.limit(NAMED))]
+    users = [f"job {job_id}" for job_id in session.scalars(own_jobs.limit(NAMED))]
+    users += [f"campaign {campaign_id}" for campaign_id in session.scalars(own_campaigns.limit(NAMED))]
     if users:
         raise InUse(f"it is in use by {', '.join(users)}")
     if by_others and (session.scalar(jobs.limit(1)) or session.scalar(campaigns.limit(1))):
@@ -123,7 +123,7 @@ class AssetRecords:
         """The first answers to each of these meshes in jobs of the owner (None: of any owner) that ran to their end,
         those of most jobs first. Meshes without an answer are left out, and so are jobs with questions.
         """
-        found: dict[str, list[FirstAnswer]] = defaultdict(list)
+        by_mesh: dict[str, list[FirstAnswer]] = defaultdict(list)
         with self._database.read() as session:
             # The answers are columns of a subquery, as PostgreSQL does not group by an expression with a parameter.
             answers = (
@@ -140,8 +140,8 @@ class AssetRecords:
             query = select(*answers.columns, count).group_by(*answers.columns).order_by(count.desc(), *answers.columns)
             for row in session.execute(query).all():
                 right = None if row.right is None else bool(row.right)
-                found[row.mesh].append(FirstAnswer(row.target, row.before, right, row.jobs))
-        return dict(found)
+                by_mesh[row.mesh].append(FirstAnswer(row.target, row.before, right, row.jobs))
+        return dict(by_mesh)
 
     def jobs(self, mesh: str, limit: int, owner: str | None) -> list[Job]:
         """At most `limit` jobs of the owner (None: of any owner) that ran to their end and show this mesh alone, newest
@@ -156,7 +156,7 @@ def _alone(session: Session, meshes: Collection[str], owner: str | None) -> list
     """The conditions of a job that ran to its end and shows one of these meshes alone."""
     # Two meshes may have the same short name, and the name is a column: the request is read for few jobs only.
     named = titles(session, uploads_among(meshes))
-    scenes = {scene_name({"scene": {"objects": [{"mesh": mesh}]}}, said) for mesh in meshes for said in ({}, named)}
+    scenes = {scene_name({"scene": {"objects": [{"mesh": mesh}]}}, names) for mesh in meshes for names in ({}, named)}
     return [
         Job.kind == JobKind.ATTACK,
         Job.state == State.SUCCEEDED,

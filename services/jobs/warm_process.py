@@ -37,9 +37,9 @@ def answer(message: dict[str, Any], library: Library, store: ArtifactStore) -> d
     """
     try:
         if "check" in message:
-            found = prepare(JobSpec.model_validate(message["check"]), library)
-            said = [one.model_dump(mode="json") for one in found.settled.warnings]
-            return {"spec": found.spec.model_dump(mode="json"), "warnings": said}
+            prepared = prepare(JobSpec.model_validate(message["check"]), library)
+            warnings = [warning.model_dump(mode="json") for warning in prepared.settled.warnings]
+            return {"spec": prepared.spec.model_dump(mode="json"), "warnings": warnings}
         if "preview" in message:
             shown, image = preview(JobSpec.model_validate(message["preview"]), library)
             return {"preview": shown.model_dump(mode="json"), "png": base64.b64encode(png(image)).decode()}
@@ -47,7 +47,7 @@ def answer(message: dict[str, Any], library: Library, store: ArtifactStore) -> d
             return planned_cost(JobSpec.model_validate(message["plan"]), library).model_dump(mode="json")
         return export(message["export"], library, store)
     except InvalidRequest as error:
-        return {"errors": [(one.field, one.detail) for one in error.every]}
+        return {"errors": [(invalid.field, invalid.detail) for invalid in error.every]}
     except JobFailure as error:
         log.warning("request failed", kind=error.kind, exc_info=error)
         return OUT_OF_MEMORY if out_of_memory(error) else {"trouble": f"{error.kind}: {error.detail}"}

@@ -18,7 +18,7 @@ from services.settings import Settings
 from services.targets import registry
 
 NICENESS = 10
-"""Of job processes: one of niceness 0 gets about nine times as much, so that the API answers while workers are busy."""
+"""Niceness of job processes. One of niceness 0 gets about nine times as much processor time: the API still answers."""
 CHECKING = 5
 """Niceness of the processes that check and preview requests: before jobs, and after the API."""
 AUTOGROUP = Path("/proc/self/autogroup")

@@ -48,11 +48,11 @@ class Listener:
 
     def heard(self) -> bool:
         """Whether there was a sign since the last call."""
-        found = False
+        heard = False
         with suppress(BlockingIOError):
             while self._socket.recv(4096):
-                found = True
-        return found
+                heard = True
+        return heard
 
     def close(self) -> None:
         """Stops listening."""
