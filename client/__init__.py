@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 __all__ = ["ApiError", "AsyncClient", "AsyncJob", "Client", "Job", "Unfinished", "attack", "images"]
 
 _MODULES = {"ApiError": "errors", "Unfinished": "errors", "attack": "in_process"}
-"""Where the names are; the others are in `client.client`."""
+"""The module of each name; all others are in `client.client`."""
 
 
 def __getattr__(name: str) -> Any:

@@ -77,7 +77,7 @@ class CampaignLine(ProgressLine):
         self._logged = float("-inf")
 
     def update(self, progress: "CampaignProgress") -> None:
-        """Shows how far the campaign is."""
+        """Shows the progress of the campaign."""
         things = "views" if progress.phase == "selecting" else "jobs"
         won = sum(case.success for case in progress.cases)
         left = duration(progress.seconds_left)

@@ -1,6 +1,6 @@
-"""Checks of an installation: what the service needs, whether it is there and works, and what to do where it does not.
+"""Checks of an installation: the requirements of the service, their state, and a remedy for each that fails.
 
-What may take a process down with it, drivers and compiled code, is tried in a process of its own, `python -m
+Drivers and compiled code, which may crash a process, are tried in a process of their own, `python -m
 client.checkup`, which prints a line of JSON for each trial as soon as it has ended.
 """
 
@@ -38,7 +38,7 @@ SETUP = "run scripts/setup"
 
 @dataclass(frozen=True)
 class Finding:
-    """What a check found: `fail` means that the service cannot run, `warn` that it runs with something missing."""
+    """The result of a check: `fail` means that the service cannot run, `warn` that it runs with something missing."""
 
     subject: str
     level: Level
@@ -66,20 +66,20 @@ def checkup(settings: Settings) -> Iterator[Finding]:
 def packages(_: Settings) -> Iterator[Finding]:
     """Whether the packages are there that the project needs, in versions that it runs with."""
     try:
-        wanted = [Requirement(text) for text in distribution("scene-attack").requires or []]
+        requirements = [Requirement(text) for text in distribution("scene-attack").requires or []]
     except PackageNotFoundError:
         yield Finding("packages", "warn", "scene-attack itself is not installed as a package", SETUP)
         return
     bad = []
-    for need in wanted:
+    for need in requirements:
         if need.marker is None or need.marker.evaluate({"extra": ""}):
             try:
-                found = version(need.name)
+                installed = version(need.name)
             except PackageNotFoundError:
                 bad.append(f"{need.name} is missing")
                 continue
-            if not need.specifier.contains(found, prereleases=True):
-                bad.append(f"{need.name} is {found}, not {need.specifier}")
+            if not need.specifier.contains(installed, prereleases=True):
+                bad.append(f"{need.name} is {installed}, not {need.specifier}")
     python = ".".join(map(str, sys.version_info[:3]))
     if bad:
         yield Finding("packages", "fail", "; ".join(bad), SETUP)
@@ -124,7 +124,7 @@ def folders(settings: Settings) -> Iterator[Finding]:
 
 
 def _folder(subject: str, folder: Path, setting: str, *, private: bool) -> Finding:
-    there = next(one for one in (folder, *folder.parents) if one.exists())
+    there = next(parent for parent in (folder, *folder.parents) if parent.exists())
     space = shutil.disk_usage(there).free
     free = f"{folder}: {space / GIGABYTE:.1f} GB free"
     if not there.is_dir() or not os.access(there, os.W_OK | os.X_OK):
@@ -150,7 +150,7 @@ def database(settings: Settings) -> Iterator[Finding]:
     try:
         engine = connect(settings)
         try:
-            found, newest = check_database(engine, settings)
+            revision, newest = check_database(engine, settings)
         finally:
             engine.dispose()
     except UnusableDatabase as error:
@@ -161,10 +161,10 @@ def database(settings: Settings) -> Iterator[Finding]:
         yield Finding("database", "fail", without_folders(str(error.__cause__ or error)).splitlines()[0], remedy)
     else:
         kind = engine.dialect.name
-        if found is None or found == newest:
-            yield Finding("database", "ok", f"{kind}, tables of revision {found or newest}")
+        if revision is None or revision == newest:
+            yield Finding("database", "ok", f"{kind}, tables of revision {revision or newest}")
         else:
-            text = f"{kind}: its tables are of revision {found}, not {newest}"
+            text = f"{kind}: its tables are of revision {revision}, not {newest}"
             yield Finding("database", "warn", text, "the next start migrates them; make a backup first")
 
 
@@ -185,11 +185,11 @@ def redis(settings: Settings) -> Iterator[Finding]:
         client = connect(settings.redis_url)
         with client:
             workers = Queue(client).live_workers()
-            found = client.info("server")["redis_version"]
+            server_version = client.info("server")["redis_version"]
     except (RedisError, ValueError) as error:
         yield Finding("Redis", "fail", str(error), "start it, or mend SCENE_ATTACK_REDIS_URL")
     else:
-        yield Finding("Redis", "ok", f"version {found}; workers alive: {workers}")
+        yield Finding("Redis", "ok", f"version {server_version}; workers alive: {workers}")
 
 
 def meshes(settings: Settings) -> Iterator[Finding]:
@@ -209,13 +209,16 @@ def additions(settings: Settings) -> Iterator[Finding]:
     from services.pipeline.extensions import loaded_extensions, set_up, target_folders
 
     set_up(settings)
-    for kind, found in (("extension", loaded_extensions()), ("target", target_folders())):
-        for one in found:
-            if one.error is None:
-                yield Finding(f"{kind} {one.name}", "ok", "loaded")
+    for kind, loaded in (("extension", loaded_extensions()), ("target", target_folders())):
+        for addition in loaded:
+            if addition.error is None:
+                yield Finding(f"{kind} {addition.name}", "ok", "loaded")
             else:
                 yield Finding(
-                    f"{kind} {one.name}", "warn", without_folders(one.error), "mend it, and restart the service"
+                    f"{kind} {addition.name}",
+                    "warn",
+                    without_folders(addition.error),
+                    "mend it, and restart the service",
                 )
 
 
@@ -231,8 +234,8 @@ def trial(settings: Settings) -> Iterator[Finding]:
         return
     for line in done.stdout.splitlines():
         if line.startswith("{"):
-            said: dict[str, Any] = json.loads(line)
-            yield Finding(**said)
+            fields: dict[str, Any] = json.loads(line)
+            yield Finding(**fields)
     if done.returncode:
         last = (done.stderr.strip().splitlines() or ["it said nothing"])[-1]
         text = f"the process that tries drivers and kernels ended with status {done.returncode}: {last}"
@@ -262,8 +265,8 @@ def _try(subject: str, attempt: Callable[[], tuple[str, str]], remedy: str) -> N
         level, text = "fail", error.detail
     except Exception as error:
         level, text = "fail", summary(error)
-    said = {"subject": subject, "level": level, "text": printable(text), "remedy": "" if level == "ok" else remedy}
-    print(json.dumps(said), flush=True)
+    fields = {"subject": subject, "level": level, "text": printable(text), "remedy": "" if level == "ok" else remedy}
+    print(json.dumps(fields), flush=True)
 
 
 def _device() -> tuple[str, str]:
@@ -273,7 +276,7 @@ def _device() -> tuple[str, str]:
 
 
 def _opengl() -> tuple[str, str]:
-    """Makes a context; it draws and reads back once when it is made."""
+    """Creates an OpenGL context, which draws and reads back once."""
     from services.rendering.opengl.context import gl_backend
 
     return "ok", gl_backend()

@@ -55,7 +55,7 @@ def main() -> None:
     except KeyboardInterrupt:
         _end(130, "interrupted")
     except InvalidRequest as error:
-        _end(2, *(f"bad input: {one.field}: {one.detail}" for one in error.every))
+        _end(2, *(f"bad input: {wrong.field}: {wrong.detail}" for wrong in error.every))
     except JobFailure as error:
         _end(1, f"failed ({error.kind}): {error.detail}")
     except Exception as error:

@@ -1,6 +1,6 @@
 """Clients of a running service, for programs: `Client`, and `AsyncClient` for asyncio, with the jobs that they return.
 
-Both send the requests of `client.operations` and read the answers into the models that these name. What differs is how
+Both send the requests of `client.operations` and read the answers into the models that these name. They differ in how
 they wait. They raise `ApiError` if the service refuses, and httpx.HTTPError if it does not answer. A service that is
 busy (503) is asked again a few times.
 """
@@ -121,7 +121,7 @@ class Event:
 
 
 class JobFields:
-    """What is known of a job without asking the service again; `data` is the service's answer."""
+    """The fields of a job that need no further request; `data` is the service's answer."""
 
     def __init__(self, data: JobView) -> None:
         self.data = data
@@ -156,7 +156,7 @@ class JobFields:
 
     @property
     def failure(self) -> FailureView | None:
-        """Why the job failed; None if it did not."""
+        """The failure of the job; None if it did not fail."""
         return self.data.failure
 
     @property
@@ -261,7 +261,7 @@ class Job(JobFields):
 
 
 class AsyncJob(JobFields):
-    """A job of a service; what asks the service is awaited."""
+    """A job of a service; methods that send a request are awaited."""
 
     def __init__(self, data: JobView, client: AsyncClient) -> None:
         super().__init__(data)
@@ -454,7 +454,7 @@ class Client:
 
 
 class AsyncClient:
-    """As `Client`, for asyncio: `async with AsyncClient() as client: job = await client.submit_job(spec)`."""
+    """`Client` for asyncio: `async with AsyncClient() as client: job = await client.submit_job(spec)`."""
 
     def __init__(
         self, url: str | None = None, *, key: str | None = None, transport: httpx.AsyncBaseTransport | None = None
@@ -577,7 +577,7 @@ def _connection(url: str | None, key: str | None) -> dict[str, Any]:
 
 def read(request: Request[Answer], response: httpx.Response) -> Answer:
     """The answer in a response that has been read. Raises ApiError if the service refused the request, and
-    httpx.DecodingError for what is no answer to it.
+    httpx.DecodingError if the response is no answer to it.
     """
     answer: Any = request.answer
     if response.is_error:
@@ -615,7 +615,7 @@ def _no_answer(response: httpx.Response, message: str) -> httpx.DecodingError:
 def is_busy(response: httpx.Response) -> bool:
     """Whether the service did not take the request, but may take it when it is sent again.
 
-    Its server refuses what is more than it can do at once in plain text and says no time, unlike the service itself.
+    Under too many requests its HTTP server refuses in plain text and without a time to wait, unlike the service itself.
     """
     kind = response.headers.get("content-type", "")
     return response.status_code == httpx.codes.SERVICE_UNAVAILABLE and (
@@ -634,7 +634,7 @@ class EventStream:
 
     def __init__(self, job_id: str, after: str | None = None) -> None:
         self.error: Exception | None = None
-        """Why the last connection broke; None if the stream ended before the job did."""
+        """The error that broke the last connection; None if the stream ended before the job did."""
         self._job_id = job_id
         self._after = after
         self._ended = False

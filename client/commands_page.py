@@ -41,8 +41,8 @@ def examples(command: Any) -> list[str]:
 def _below(name: str, command: Any) -> Iterator[tuple[str, Any]]:
     if name != NAME:
         yield name, command
-    for child, found in getattr(command, "commands", {}).items():
-        yield from _below(f"{name} {child}", found)
+    for child, subcommand in getattr(command, "commands", {}).items():
+        yield from _below(f"{name} {child}", subcommand)
 
 
 def _section(name: str, command: Any) -> str:
@@ -63,9 +63,9 @@ def _row(parameter: Any) -> str:
     help_text = getattr(parameter, "help", None) or ""
     if parameter.param_type_name == "option":
         names = ", ".join(f"`{name}`" for name in (*parameter.opts, *parameter.secondary_opts))
-        given = parameter.default
-        shown = given is not None and not callable(given) and not parameter.is_flag and given != ()
-        default = f" Default: `{given}`." if shown else ""
+        value = parameter.default
+        shown = value is not None and not callable(value) and not parameter.is_flag and value != ()
+        default = f" Default: `{value}`." if shown else ""
         needed = " Required." if parameter.required else ""
         return f"| {names} | {_text(help_text)}{default}{needed} |"
     name = str(parameter.metavar or parameter.name).upper()

@@ -47,8 +47,8 @@ def remark(*shown: RenderableType) -> None:
 
 
 def _print(console: Console, shown: Iterable[RenderableType]) -> None:
-    for one in shown:
-        console.print(one, markup=False, highlight=False, soft_wrap=isinstance(one, str))
+    for part in shown:
+        console.print(part, markup=False, highlight=False, soft_wrap=isinstance(part, str))
 
 
 def print_json(data: Any) -> None:
@@ -63,7 +63,7 @@ def _of_model(model: Any) -> Any:
 
 
 def print_found(found: Any, shown: RenderableType, as_json: bool) -> None:
-    """Prints what a command found: as JSON if that was asked for, else what is to be shown of it."""
+    """Prints the result `found` of a command as JSON if `as_json`, else `shown`."""
     if as_json:
         print_json(found)
     else:
@@ -116,18 +116,18 @@ def _fits(table: Table, console: Console, options: ConsoleOptions) -> bool:
 
 
 def _table(columns: Sequence[str], rows: Sequence[Sequence[str | Text]], title: str | None) -> Table:
-    made = Table(title=title, title_justify="left", header_style="bold", show_header=any(columns))
+    table = Table(title=title, title_justify="left", header_style="bold", show_header=any(columns))
     for at, column in enumerate(columns):
         words = " ".join([column.removesuffix(">"), *(str(row[at]) for row in rows)]).split()
-        made.add_column(
+        table.add_column(
             column.removesuffix(">"),
             justify="right" if column.endswith(">") else "left",
             overflow="fold",
             min_width=min(max(map(len, words), default=1), MAX_WORD),  # rich breaks words to widen other columns
         )
     for row in rows:
-        made.add_row(*(cell if isinstance(cell, Text) else Text(cell) for cell in row))
-    return made
+        table.add_row(*(cell if isinstance(cell, Text) else Text(cell) for cell in row))
+    return table
 
 
 STATE_STYLES = {

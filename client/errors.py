@@ -1,4 +1,4 @@
-"""The errors of the clients, and their words: which request a service refused, or why none answered."""
+"""The errors of the clients and their texts: a refused request, or a service that did not answer."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -26,7 +26,7 @@ class ApiError(Exception):
 
 
 class Unfinished(RuntimeError):
-    """A job has no result: it has not ended, or it did not succeed. The message says which, and why."""
+    """A job has no result: it has not ended, or it did not succeed. The message gives the state and the reason."""
 
 
 def refusal(response: httpx.Response) -> ApiError:
@@ -44,7 +44,7 @@ def refusal(response: httpx.Response) -> ApiError:
 
 
 def why(error: httpx.HTTPError) -> str:
-    """What went wrong between this machine and a service, and the remedy."""
+    """Describes an error between this machine and a service, and the remedy."""
     reason = (str(error) or type(error).__name__).strip()
     try:
         origin = _origin(error.request)

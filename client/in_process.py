@@ -99,20 +99,20 @@ def _target(name: str, model: Any, labels: Any, preprocessing: Any) -> Target:
 _PARTS = ("name", "labels", "input_size", "differentiable", "takes_question", "weights_sha256", "backend")
 
 
-def _labels(given: Any) -> tuple[str, ...]:
+def _labels(labels: Any) -> tuple[str, ...]:
     """The labels of the argument; empty if it names none."""
     from services.targets.labels import imagenet_labels
 
-    if given is None:
+    if labels is None:
         return ()
-    if isinstance(given, str) and given == "imagenet":
+    if isinstance(labels, str) and labels == "imagenet":
         return imagenet_labels()
-    whole = isinstance(given, str) or not isinstance(given, Sequence)
-    wrong = [given] if whole else [one for one in given if not isinstance(one, str)]
+    whole = isinstance(labels, str) or not isinstance(labels, Sequence)
+    wrong = [labels] if whole else [label for label in labels if not isinstance(label, str)]
     if wrong:
-        found = f"{wrong[0]!r:.80}{'' if whole else ' in a list'}"
-        raise InvalidRequest("labels", f'must be a list of texts, "imagenet", or None for numbers, not {found}')
-    return tuple(given)
+        refused = f"{wrong[0]!r:.80}{'' if whole else ' in a list'}"
+        raise InvalidRequest("labels", f'must be a list of texts, "imagenet", or None for numbers, not {refused}')
+    return tuple(labels)
 
 
 def _spec(scene: Mapping[str, Any], name: str, spec: Mapping[str, Any], settings: Settings) -> JobSpec:
@@ -129,20 +129,22 @@ def _spec(scene: Mapping[str, Any], name: str, spec: Mapping[str, Any], settings
     return parse(data, names_in(local_library(settings), not_read=not_added))
 
 
-def _preprocessing(given: Any) -> Preprocessing:
+def _preprocessing(fields: Any) -> Preprocessing:
     from pydantic import ValidationError
 
     from services.pipeline.field_errors import invalid_fields
     from services.targets.custom.card import Preprocessing
 
-    if not isinstance(given, Mapping):
-        detail = f"must be a mapping such as {{'input_size': [32, 32]}}, not {type(given).__name__}"
+    if not isinstance(fields, Mapping):
+        detail = f"must be a mapping such as {{'input_size': [32, 32]}}, not {type(fields).__name__}"
         raise InvalidRequest("preprocessing", detail)
     try:
-        return Preprocessing.model_validate(dict(given))
+        return Preprocessing.model_validate(dict(fields))
     except ValidationError as error:
-        found = invalid_fields(error.errors(include_url=False), Preprocessing.model_json_schema())
-        raise InvalidFields([InvalidRequest(f"preprocessing.{one.field}", one.detail) for one in found]) from error
+        errors = invalid_fields(error.errors(include_url=False), Preprocessing.model_json_schema())
+        raise InvalidFields(
+            [InvalidRequest(f"preprocessing.{wrong.field}", wrong.detail) for wrong in errors]
+        ) from error
 
 
 def _numbers(model: Callable[[Tensor], Any], preprocessing: Preprocessing) -> tuple[str, ...]:
@@ -160,8 +162,8 @@ def _numbers(model: Callable[[Tensor], Any], preprocessing: Preprocessing) -> tu
             scores = network(weight.new_zeros(1, 3, *preprocessing.input_size))
     except Exception as error:
         size = ", ".join(map(str, preprocessing.input_size))
-        said = f"it takes no images [1, 3, {size}] ({error}); preprocessing.input_size says which it takes"
-        raise InvalidRequest("model", said) from error
+        detail = f"it takes no images [1, 3, {size}] ({error}); preprocessing.input_size says which it takes"
+        raise InvalidRequest("model", detail) from error
     if not isinstance(scores, torch.Tensor) or scores.ndim != 2:
         raise InvalidRequest("model", "it must return scores [B, K], one row for each image")
     return tuple(map(str, range(scores.shape[1])))

@@ -1,4 +1,4 @@
-"""Finds the files that a mesh on this machine names, so that they are sent with it."""
+"""Finds the files that a mesh on this machine refers to, so that they are sent with it."""
 
 import os
 from collections.abc import Iterable, Sequence
@@ -20,23 +20,23 @@ def with_files_beside(given: Sequence[Path]) -> list[tuple[str, Path]]:
         if not path.is_file():
             raise InvalidRequest("FILE", f"there is no file {path}")
     folder = Path(os.path.commonpath([path.absolute().parent for path in given]))
-    found = {path.resolve(): os.path.relpath(path.absolute(), folder) for path in given}
+    paths = {path.resolve(): os.path.relpath(path.absolute(), folder) for path in given}
     waiting = list(given)
     while waiting:
         path = waiting.pop()
         kind = _ending(path)
         if kind not in BESIDE and kind != "mtl":
             continue
-        for name in (one.name for one in named_files(path.read_bytes(), kind)):
+        for name in (file.name for file in named_files(path.read_bytes(), kind)):
             beside = _beside(name, (path.parent, folder))
             if beside is None or not beside.resolve().is_relative_to(folder.resolve()):
                 continue
-            if _ending(beside) in _SENT and beside.resolve() not in found:
-                found[beside.resolve()] = os.path.relpath(beside.absolute(), folder)
+            if _ending(beside) in _SENT and beside.resolve() not in paths:
+                paths[beside.resolve()] = os.path.relpath(beside.absolute(), folder)
                 waiting.append(beside)
-    if len(found) > MAX_FILES:
-        raise InvalidRequest("FILE", f"the mesh names {len(found):,} files; at most {MAX_FILES:,} are taken")
-    return [(name, path) for path, name in found.items()]
+    if len(paths) > MAX_FILES:
+        raise InvalidRequest("FILE", f"the mesh names {len(paths):,} files; at most {MAX_FILES:,} are taken")
+    return [(name, path) for path, name in paths.items()]
 
 
 _SENT = {ending for endings in BESIDE.values() for ending in endings}

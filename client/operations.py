@@ -46,7 +46,7 @@ PriorityName = Priority | Literal["high", "normal", "low"]
 StateName = State | Literal["queued", "running", "cancelling", "succeeded", "failed", "rejected", "cancelled"]
 CampaignStateName = CampaignState | Literal["selecting", "running", "paused", "finished", "failed", "cancelled"]
 CHECK_SECONDS = 300.0
-"""The service may take so long to check a request; the first request waits for a process to warm up."""
+"""Longest time in seconds for the check of a request; the first one waits for a process to warm up."""
 
 
 @dataclass(frozen=True)

@@ -50,7 +50,7 @@ class JobLine(ProgressLine):
         self._logged: tuple[str, float] = ("", 0.0)
 
     def update(self, phase: str, step: int, steps: int, row: Mapping[str, Any] | None) -> None:
-        """Shows how far the job is; `row` is the newest row of its trace, while attacking."""
+        """Shows the progress of the job; `row` is the newest row of its trace, while attacking."""
         now = phase if row is None else row_text(row)
         self._bar.update(self._task, completed=step, total=steps, now=now)
         if self._logs and (phase != self._logged[0] or monotonic() - self._logged[1] > LOG_EVERY):

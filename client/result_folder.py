@@ -67,9 +67,9 @@ def check_finished(folder: Path) -> None:
 
 def check_same_files(folder: Path, artifacts: "Iterable[ArtifactView]") -> None:
     """Raises InvalidRequest("--out") if the folder's result is another one than that of these files of a job."""
-    wanted = next((file.sha256 for file in artifacts if file.name == "result.json"), None)
+    digest = next((file.sha256 for file in artifacts if file.name == "result.json"), None)
     path = folder / "result.json"
-    if path.exists() and hashlib.sha256(path.read_bytes()).hexdigest() != wanted:
+    if path.exists() and hashlib.sha256(path.read_bytes()).hexdigest() != digest:
         raise InvalidRequest("--out", f"{folder} holds the result of another job; {REMEDY}")
 
 
@@ -78,11 +78,11 @@ def _same(stored: Mapping[str, Any], spec: "JobSpec") -> bool:
     from services.pipeline.spec import parse
 
     try:
-        found = parse(stored)
+        stored_spec = parse(stored)
     except InvalidRequest:  # of a version with other fields
         return False
-    stored_fields, asked = (one.model_dump(mode="json", exclude={"goal"}) for one in (found, spec))
-    return stored_fields == asked and _same_goal(found.goal, spec.goal)
+    stored_fields, asked = (job.model_dump(mode="json", exclude={"goal"}) for job in (stored_spec, spec))
+    return stored_fields == asked and _same_goal(stored_spec.goal, spec.goal)
 
 
 def _same_goal(stored: "Goal", asked: "Goal") -> bool:
@@ -98,4 +98,4 @@ def _same_goal(stored: "Goal", asked: "Goal") -> bool:
 
 def _names(labels: Any) -> set[str]:
     """The labels that are named; an index is the same label as a name that only the network knows."""
-    return {one for one in (labels if isinstance(labels, tuple) else (labels,)) if isinstance(one, str)}
+    return {label for label in (labels if isinstance(labels, tuple) else (labels,)) if isinstance(label, str)}

@@ -18,12 +18,12 @@ def read_settings(**options: object) -> Settings:
 
     Raises InvalidFields, which names each wrong option or variable.
     """
-    given = {name: value for name, value in options.items() if value is not None}
+    chosen = {name: value for name, value in options.items() if value is not None}
     try:
-        return Settings(**given)  # type: ignore[arg-type]
+        return Settings(**chosen)  # type: ignore[arg-type]
     except ValidationError as error:
         raise InvalidFields(
-            [InvalidRequest(_written(str(one["loc"][0]), given), in_words(one)) for one in error.errors()]
+            [InvalidRequest(_written(str(entry["loc"][0]), chosen), in_words(entry)) for entry in error.errors()]
         ) from error
 
 
@@ -48,5 +48,5 @@ def unknown_variables(environ: Mapping[str, str]) -> dict[str, str]:
     return {name: f"there is no such setting{did_you_mean(name, known)}" for name in unknown}
 
 
-def _written(name: str, given: dict[str, object]) -> str:
-    return f"--{name}" if name in given else f"SCENE_ATTACK_{name.upper()}"
+def _written(name: str, chosen: dict[str, object]) -> str:
+    return f"--{name}" if name in chosen else f"SCENE_ATTACK_{name.upper()}"

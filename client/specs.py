@@ -21,16 +21,16 @@ if TYPE_CHECKING:
 
 
 Adding = Callable[[Path], tuple[str, Sequence[str]]]
-"""Adds the mesh in a file. Returns its name in a scene, and what of the file is not shown. Raises InvalidRequest."""
+"""Adds the mesh in a file. Returns its name in a scene, and the parts that are not shown. Raises InvalidRequest."""
 _PLACES = (
     "scene.objects.*.mesh",
     "jobs.*.scene.objects.*.mesh",
     "grids.*.scenes.meshes.*",
     "grids.*.scenes.*.objects.*.mesh",
 )
-"""Where a job and a campaign name meshes; a star stands for each item of a list."""
+"""Paths of a job's and a campaign's mesh names; a star stands for each item of a list."""
 _NAMED = ("furniture/", "primitive/", "sha256:")
-"""How the names of meshes begin, which are no names of files."""
+"""Prefixes of mesh names that are no file names."""
 
 
 def read_job(spec: str, settings: "Settings", seed: int | None = None) -> "JobSpec":
@@ -135,8 +135,8 @@ def sent(
     except ApiError as error:
         if error.status != 422 or not wrong:
             raise
-        found = (InvalidRequest(one["field"], one["detail"]) for one in error.problem.get("errors", ()))
-        raise InvalidFields([*wrong.values(), *(one for one in found if one.field not in wrong)]) from error
+        answered = (InvalidRequest(entry["field"], entry["detail"]) for entry in error.problem.get("errors", ()))
+        raise InvalidFields([*wrong.values(), *(entry for entry in answered if entry.field not in wrong)]) from error
 
 
 def _replaced(data: Any, steps: Sequence[str], named: Callable[[str, str], str], place: str = "") -> Any:
@@ -145,7 +145,7 @@ def _replaced(data: Any, steps: Sequence[str], named: Callable[[str, str], str],
         return named(data, place) if isinstance(data, str) else data
     step, rest = steps[0], steps[1:]
     if step == "*" and isinstance(data, list | tuple):
-        return [_replaced(one, rest, named, f"{place}.{k}") for k, one in enumerate(data)]
+        return [_replaced(item, rest, named, f"{place}.{k}") for k, item in enumerate(data)]
     if step != "*" and isinstance(data, Mapping) and step in data:
         return {**data, step: _replaced(data[step], rest, named, f"{place}.{step}".removeprefix("."))}
     return data
@@ -157,7 +157,7 @@ def is_path(mesh: object) -> bool:
 
 
 def to_library(settings: "Settings") -> Adding:
-    """Returns what adds a mesh to the uploads of this machine."""
+    """Returns a function that adds a mesh to the uploads of this machine."""
 
     def add(path: Path) -> tuple[str, Sequence[str]]:
         entry = local_library(settings).add(bundle_at(path, settings), settings)
@@ -182,14 +182,14 @@ def bundle_at(path: Path, limits: "Settings") -> "Bundle":
     from services.scenes.bundle import About, title_of
     from services.scenes.uploads import max_unpacked, to_bundle
 
-    files = [(name, one.read_bytes()) for name, one in with_files_beside([path])]
+    files = [(name, file.read_bytes()) for name, file in with_files_beside([path])]
     return to_bundle(
         files, None, path.name if len(files) > 1 else None, About(title=title_of(path)), max_unpacked(limits)
     )
 
 
 def to_service(client: "Client") -> Adding:
-    """Returns what uploads a mesh to a service, and says so on standard error. The name is that of `to_library`."""
+    """Returns a function that uploads a mesh to a service, with names as in `to_library`, and tells stderr."""
 
     def add(path: Path) -> tuple[str, Sequence[str]]:
         from client import operations

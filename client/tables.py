@@ -1,4 +1,4 @@
-"""Text tables of what a job gives: its outcome and warnings, its analyses, its questions and their answers."""
+"""Text tables of a job's results: its outcome and warnings, its analyses, its questions and their answers."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -76,13 +76,13 @@ def answer_cell(outcome: Outcome, when: Literal["before", "after"]) -> str:
 
 
 def outcome_cell(outcome: Outcome) -> Text:
-    """What the attack came to, and what bound a search that held."""
+    """The outcome of the attack, and the limit of a search that held."""
     bound = held_within(outcome.model_dump())
     return verdict(outcome.outcome).append(f" {bound}" if bound else "")
 
 
 def verdict(word: Verdict) -> Text:
-    """The word for what an attack came to, e.g. "fooled" or "held", in its colour."""
+    """The outcome of an attack, e.g. "fooled" or "held", in its colour."""
     return Text(word, style=OUTCOME_STYLES.get(word, "yellow"))
 
 
@@ -92,7 +92,7 @@ def verified(outcome: Outcome) -> Text:
 
 
 def successes(outcomes: Iterable[Outcome]) -> str:
-    """How many attacks succeeded, of those on scenes that the network is known to have had right before."""
+    """Number of successful attacks, out of those on scenes that the network is known to have had right before."""
     counted = [outcome for outcome in outcomes if outcome.right_before]
     won = sum(outcome.outcome == SUCCESS and outcome.verified for outcome in counted)
     return f"Fooled and verified: {won} of {len(counted)} attacks on scenes that the network had right before"
@@ -144,101 +144,101 @@ def print_analyses(found: Analyses) -> None:
     say(*_analysis_tables(found))
 
 
-def _analysis_tables(found: Analyses) -> Iterator[FittedTable]:
-    if found.coordinates is not None:
-        yield _attribution(found.coordinates, "Shapley values of the coordinates")
-    if found.minimal is not None:
-        yield from _minimal(found.minimal)
-    if found.transfer is not None:
-        yield _transfer(found.transfer)
-    if found.interpretation is not None:
-        yield _interpretation(found.interpretation)
-    if found.rerendering is not None:
-        yield rerendering_table(found.rerendering)
-    if found.adaptive is not None:
-        yield _adaptive(found.adaptive)
+def _analysis_tables(analyses: Analyses) -> Iterator[FittedTable]:
+    if analyses.coordinates is not None:
+        yield _attribution(analyses.coordinates, "Shapley values of the coordinates")
+    if analyses.minimal is not None:
+        yield from _minimal(analyses.minimal)
+    if analyses.transfer is not None:
+        yield _transfer(analyses.transfer)
+    if analyses.interpretation is not None:
+        yield _interpretation(analyses.interpretation)
+    if analyses.rerendering is not None:
+        yield rerendering_table(analyses.rerendering)
+    if analyses.adaptive is not None:
+        yield _adaptive(analyses.adaptive)
 
 
-def _attribution(found: Attribution, title: str) -> FittedTable:
-    errors, orders = found.log_odds.standard_error, found.orders
+def _attribution(attribution: Attribution, title: str) -> FittedTable:
+    errors, orders = attribution.log_odds.standard_error, attribution.orders
     how = f"mean over {orders} random orders" if errors is not None else "exact"
-    by_size = sorted(range(len(found.parts)), key=lambda i: -abs(found.log_odds.shapley[i]))[:STRONGEST]
+    by_size = sorted(range(len(attribution.parts)), key=lambda i: -abs(attribution.log_odds.shapley[i]))[:STRONGEST]
     rows = []
-    for i in by_size if len(found.parts) > STRONGEST else range(len(found.parts)):
+    for i in by_size if len(attribution.parts) > STRONGEST else range(len(attribution.parts)):
         error = "" if errors is None else f" ± {errors[i]:.3f}"
         rows.append(
             [
-                found.parts[i],
-                f"{signed(found.log_odds.shapley[i], '.3f')}{error}",
-                f"{signed(100 * found.probability.shapley[i], '.2f')} %",
-                _strongest_partner(found, i),
+                attribution.parts[i],
+                f"{signed(attribution.log_odds.shapley[i], '.3f')}{error}",
+                f"{signed(100 * attribution.probability.shapley[i], '.2f')} %",
+                _strongest_partner(attribution, i),
             ]
         )
-    effect = signed(100 * found.probability.effect, ".2f")
-    rows.append(["all", signed(found.log_odds.effect, ".3f"), f"{effect} %", ""])
+    effect = signed(100 * attribution.probability.effect, ".2f")
+    rows.append(["all", signed(attribution.log_odds.effect, ".3f"), f"{effect} %", ""])
     columns = ("part", "log-odds of the goal's label>", "its probability>", "strongest interaction (log-odds)")
-    return FittedTable(columns, rows, title=f"{title}, {how}, {found.images:,} images")
+    return FittedTable(columns, rows, title=f"{title}, {how}, {attribution.images:,} images")
 
 
-def _strongest_partner(found: Attribution, part: int) -> str:
-    matrix = found.log_odds.interactions
+def _strongest_partner(attribution: Attribution, part: int) -> str:
+    matrix = attribution.log_odds.interactions
     if matrix is None or len(matrix) < 2:
         return ""
     other = max((j for j in range(len(matrix)) if j != part), key=lambda j: abs(matrix[part][j]))
-    return f"{signed(matrix[part][other], '.3f')} with {found.parts[other]}"
+    return f"{signed(matrix[part][other], '.3f')} with {attribution.parts[other]}"
 
 
-def _minimal(found: MinimalChange) -> Iterator[FittedTable]:
-    if found.smallest is None:
-        title = f"Minimal change: none of {len(found.scan)} scales of the perturbation fools the network"
+def _minimal(minimal: MinimalChange) -> Iterator[FittedTable]:
+    if minimal.smallest is None:
+        title = f"Minimal change: none of {len(minimal.scan)} scales of the perturbation fools the network"
     else:
-        steady = "" if found.fools_from is None else f"; every scanned scale from {found.fools_from:.4g} on fools"
+        steady = "" if minimal.fools_from is None else f"; every scanned scale from {minimal.fools_from:.4g} on fools"
         title = (
-            f"Minimal change: {found.smallest.label} {found.smallest.confidence:.2f} at scale "
-            f"{found.smallest.scale:.5g}, held at {found.holds_at:.5g}{steady}; p "
-            f"{thousandths(found.smallest.float_perceptibility)}e-3, {found.images} images"
+            f"Minimal change: {minimal.smallest.label} {minimal.smallest.confidence:.2f} at scale "
+            f"{minimal.smallest.scale:.5g}, held at {minimal.holds_at:.5g}{steady}; p "
+            f"{thousandths(minimal.smallest.float_perceptibility)}e-3, {minimal.images} images"
         )
     columns = ("group", "what", "measure", "minimal>", "stored>", "unit")
-    least = [f"{change.value:.4g}" for change in found.change] or ["–"] * len(found.stored_change)
+    least = [f"{change.value:.4g}" for change in minimal.change] or ["–"] * len(minimal.stored_change)
     rows = [
         [stored.group, stored.subject, stored.measure, value, f"{stored.value:.4g}", stored.unit]
-        for value, stored in zip(least, found.stored_change, strict=True)
+        for value, stored in zip(least, minimal.stored_change, strict=True)
     ]
     yield FittedTable(columns, rows, title=title)
 
 
-def _transfer(found: Sequence[Transferred]) -> FittedTable:
+def _transfer(transfers: Sequence[Transferred]) -> FittedTable:
     rows: list[list[str | Text]] = [
         [
-            one.target,
-            one.renderer,
-            answer_text(one.before),
-            answer_text(one.after),
-            verdict(one.outcome),
-            yes(one.right_before),
-            one.note,
+            transfer.target,
+            transfer.renderer,
+            answer_text(transfer.before),
+            answer_text(transfer.after),
+            verdict(transfer.outcome),
+            yes(transfer.right_before),
+            transfer.note,
         ]
-        for one in found
+        for transfer in transfers
     ]
     columns = ("target", "renderer", "original", "attacked", "network", "right before", "note")
     return FittedTable(columns, rows, title="Transfer")
 
 
-def _interpretation(found: Interpretation) -> FittedTable:
+def _interpretation(interpretation: Interpretation) -> FittedTable:
     rows = [
         [
-            one.optimiser,
-            f"{one.rate:.0e}",
-            f"{one.losses[0] * 1000:.3f}",
-            f"{min(one.losses) * 1000:.3f}",
-            answer_text(one.after),
-            "yes" if one.after.label == found.image.label else "no",
+            fit.optimiser,
+            f"{fit.rate:.0e}",
+            f"{fit.losses[0] * 1000:.3f}",
+            f"{min(fit.losses) * 1000:.3f}",
+            answer_text(fit.after),
+            "yes" if fit.after.label == interpretation.image.label else "no",
         ]
-        for one in found.fits
+        for fit in interpretation.fits
     ]
     columns = ("optimiser", "rate>", *FIT_COLUMNS, "label after", "attacked label kept")
-    said = f"image: {answer_text(found.image)}, scene: {answer_text(found.scene)}"
-    return FittedTable(columns, rows, title=f"Interpretation: fits of physical parameters to the image ({said})")
+    answers = f"image: {answer_text(interpretation.image)}, scene: {answer_text(interpretation.scene)}"
+    return FittedTable(columns, rows, title=f"Interpretation: fits of physical parameters to the image ({answers})")
 
 
 def rerendering_table(found: Rerendering) -> FittedTable:
@@ -254,14 +254,14 @@ def rerendering_table(found: Rerendering) -> FittedTable:
     return FittedTable(columns, [row], title=f"Re-rendering defence: {found.optimiser}, rate {found.rate:g}")
 
 
-def _adaptive(found: AdaptiveAttack) -> FittedTable:
+def _adaptive(attack: AdaptiveAttack) -> FittedTable:
     row: list[str | Text] = [
-        yes(found.fooled),
-        str(found.steps),
-        answer_text(found.image),
-        answer_text(found.rerendered),
-        f"{found.goal_probability[0]:.3f} → {found.goal_probability[-1]:.3f}",
-        thousandths(found.perceptibility),
+        yes(attack.fooled),
+        str(attack.steps),
+        answer_text(attack.image),
+        answer_text(attack.rerendered),
+        f"{attack.goal_probability[0]:.3f} → {attack.goal_probability[-1]:.3f}",
+        thousandths(attack.perceptibility),
     ]
     columns = (
         "defence fooled",
@@ -284,7 +284,9 @@ ATTENTION_FILES = "attention-<question>-<function>-before.png and -after.png"
 def print_asked(questions: Sequence[Asked]) -> None:
     """Prints questions before an attack, e.g. those of a plan: each with its program and its right answer."""
     if questions:
-        rows = [[_words(number, one), _asks_for(one), one.right] for number, one in enumerate(questions)]
+        rows = [
+            [_words(number, question), _asks_for(question), question.right] for number, question in enumerate(questions)
+        ]
         _print_questions(FittedTable(ASKED_COLUMNS, rows, title=QUESTIONS_TITLE), map(_program, questions))
 
 
@@ -294,18 +296,18 @@ def print_answered(questions: Sequence[QuestionResult], folder: Path | None = No
         return
     rows: list[list[str | Text]] = [
         [
-            _words(number, one),
-            _asks_for(one),
-            one.right,
-            one.right_after or "ill-posed",
-            answer_text(one.before),
-            answer_text(one.after),
-            yes(one.before_of_kind) + Text(" → ") + yes(one.after_of_kind),
-            verdict(one.outcome),
+            _words(number, question),
+            _asks_for(question),
+            question.right,
+            question.right_after or "ill-posed",
+            answer_text(question.before),
+            answer_text(question.after),
+            yes(question.before_of_kind) + Text(" → ") + yes(question.after_of_kind),
+            verdict(question.outcome),
         ]
-        for number, one in enumerate(questions)
+        for number, question in enumerate(questions)
     ]
-    lines = [f"{_program(one)}; {_changed(one)}" for one in questions]
+    lines = [f"{_program(question)}; {_changed(question)}" for question in questions]
     _print_questions(FittedTable(ANSWERED_COLUMNS, rows, title=QUESTIONS_TITLE), lines)
     if folder is not None:
         say(f"Images of what the functions attend to: {folder / ATTENTION_FILES}")
@@ -322,8 +324,8 @@ def program_text(program: Program) -> str:
     )
 
 
-def _print_questions(made: FittedTable, lines: Iterable[str]) -> None:
-    say(made, *(f"Program of question {number}: {line}" for number, line in enumerate(lines)))
+def _print_questions(table: FittedTable, lines: Iterable[str]) -> None:
+    say(table, *(f"Program of question {number}: {line}" for number, line in enumerate(lines)))
 
 
 def _program(question: Asked) -> str:

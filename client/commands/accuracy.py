@@ -43,17 +43,17 @@ def stability(
             line.update(f"{next(numbers)}/{len(chosen)}  {case.family}: {case.name}")
 
         observations = run(chosen, show)
-    found = report(observations, "scene-attack accuracy stability" + (" --quick" if quick else ""))
-    write(found, out)
+    result = report(observations, "scene-attack accuracy stability" + (" --quick" if quick else ""))
+    write(result, out)
     counted = [
-        [family, *(str(sum(r.family == family and r.outcome == word for r in found.cases)) for word in found.counts)]
-        for family in dict.fromkeys(row.family for row in found.cases)
+        [family, *(str(sum(r.family == family and r.outcome == word for r in result.cases)) for word in result.counts)]
+        for family in dict.fromkeys(row.family for row in result.cases)
     ]
-    total = ["all", *map(str, found.counts.values())]
-    table = FittedTable(("family", *(f"{word}>" for word in found.counts)), [*counted, total])
-    print_found(found, table, as_json)
-    remark(*(f"failed: {row.family}: {row.name}: {row.what}" for row in found.failed), f"Report in {out}")
-    if found.failed:
+    total = ["all", *map(str, result.counts.values())]
+    table = FittedTable(("family", *(f"{word}>" for word in result.counts)), [*counted, total])
+    print_found(result, table, as_json)
+    remark(*(f"failed: {row.family}: {row.name}: {row.what}" for row in result.failed), f"Report in {out}")
+    if result.failed:
         raise typer.Exit(1)
 
 
@@ -88,7 +88,7 @@ def work_precision(
     words = ["scene-attack accuracy work-precision", *(f"--only {name}" for name in chosen)]
     words += ["--quick"] * quick + [f"--out {out}"] * (out != OUT)
     with err().status("") as line:
-        made = measure(QUICK if quick else FULL, out, " ".join(words), chosen, line.update)
+        result = measure(QUICK if quick else FULL, out, " ".join(words), chosen, line.update)
     if as_json:
-        print_json(made)
+        print_json(result)
     remark(f"Report in {out}")

@@ -61,13 +61,13 @@ def analyse(
         "rerendering": {"steps": steps} if defend else None,
         "adaptive": {} if adaptive else None,
     }
-    found = _analyse(directory, request, settings)
-    (directory / ANALYSES).write_text(found.model_dump_json(indent=1) + "\n", "utf-8")
+    result = _analyse(directory, request, settings)
+    (directory / ANALYSES).write_text(result.model_dump_json(indent=1) + "\n", "utf-8")
     if as_json:
-        print_json(found)
+        print_json(result)
         return
-    print_subsets(found.subsets, found.attribution)
-    print_analyses(found.analyses)
+    print_subsets(result.subsets, result.attribution)
+    print_analyses(result.analyses)
     remark(f"Written to {directory / ANALYSES}")
 
 
@@ -120,7 +120,7 @@ def rerender(
     try:
         request = RerenderingRequest.model_validate({"steps": steps, "rate": rate, "optimiser": optimiser})
     except ValidationError as error:
-        wrong = [InvalidRequest(f"--{one['loc'][0]}", in_words(one)) for one in error.errors()]
+        wrong = [InvalidRequest(f"--{entry['loc'][0]}", in_words(entry)) for entry in error.errors()]
         raise InvalidFields(wrong) from error
     with JobLine(image.name) as line:
         line.update("loading", 0, 1, None)

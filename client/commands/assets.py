@@ -28,8 +28,10 @@ def list_assets(
     from client.settings import read_settings
     from client.specs import local_library
 
-    found = local_library(read_settings()).entries(category=category, creator=creator, licence=licence, search=search)
-    entries = [entry for entry in found if entry.kind != "environment"]
+    matching = local_library(read_settings()).entries(
+        category=category, creator=creator, licence=licence, search=search
+    )
+    entries = [entry for entry in matching if entry.kind != "environment"]
     rows = [[e.name, e.title, e.category or "", e.creator or "", e.licence or ""] for e in entries]
     shown = FittedTable(("mesh", "title", "category", "creator", "licence"), rows, spare=("category", "title"))
     print_found(entries, shown, as_json)
@@ -149,6 +151,6 @@ def environments(as_json: JsonOption = False) -> None:
     library = local_library(read_settings())
     uploaded = [entry for entry in library.entries(category="upload") if entry.kind == "environment"]
     entries = [*library.environments(), *uploaded]
-    rows = [[one.name, one.title, one.creator, one.licence, one.credit or ""] for one in entries]
+    rows = [[entry.name, entry.title, entry.creator, entry.licence, entry.credit or ""] for entry in entries]
     columns = ("map", "title", "creator", "licence", "credit")
     print_found(entries, FittedTable(columns, rows, spare=("credit", "title")), as_json)

@@ -69,15 +69,15 @@ def run(
     check_samples(campaign, lambda job: prepare(job, assets))
     try:
         with CampaignLine(campaign.name) as line:
-            found = run_campaign(campaign, folder, assets, progress=line.update)
+            record = run_campaign(campaign, folder, assets, progress=line.update)
     except KeyboardInterrupt:
         remark("Interrupted; the same command goes on with what is left.")
         raise
-    write(found, folder)
-    print_found(found, results(found.table), as_json)
-    chosen = sum(view.chosen for view in found.views)
-    remark(f"{chosen} of {len(found.views)} views attacked. Files in {folder}")
-    if why := nothing_chosen(found.views):
+    write(record, folder)
+    print_found(record, results(record.table), as_json)
+    chosen = sum(view.chosen for view in record.views)
+    remark(f"{chosen} of {len(record.views)} views attacked. Files in {folder}")
+    if why := nothing_chosen(record.views):
         remark(why)
 
 
@@ -95,8 +95,8 @@ def submit(
 
     data = specs.read(spec)
     with Client(url) as client:
-        found = sent(data, folder_of(spec), client, lambda data: operations.submit_campaign(data, priority=priority))
-        print_found(found, f"{found.id}  {client.url}/campaigns/{found.id}", as_json)
+        created = sent(data, folder_of(spec), client, lambda data: operations.submit_campaign(data, priority=priority))
+        print_found(created, f"{created.id}  {client.url}/campaigns/{created.id}", as_json)
 
 
 @app.command("list", epilog="Example: [bold]scene-attack campaign list[/bold]")
@@ -116,16 +116,16 @@ def list_campaigns(
         print_json(page)
         return
     rows: list[list[str | Text]] = []
-    for one in page.items:
-        far = one.progress
+    for campaign in page.items:
+        far = campaign.progress
         rows.append(
             [
-                one.id[:SHORT],
-                one.name,
-                campaign_state(one.state),
+                campaign.id[:SHORT],
+                campaign.name,
+                campaign_state(campaign.state),
                 f"{far.answered}/{far.views}",
                 f"{far.ended}/{far.jobs}",
-                f"{one.created:%Y-%m-%d %H:%M:%S}",
+                f"{campaign.created:%Y-%m-%d %H:%M:%S}",
             ]
         )
     say(FittedTable(("id", "name", "state", "views>", "jobs>", "created (UTC)"), rows))
@@ -179,12 +179,12 @@ def table(
     from client import operations
     from client.campaigns import results
 
-    found = _call(operations.get_campaign_table, campaign_id, url)
-    print_found(found, results(found.table), as_json)
+    result = _call(operations.get_campaign_table, campaign_id, url)
+    print_found(result, results(result.table), as_json)
     if to is not None:
         from services.pipeline.campaign_plan import write
 
-        remark(*map(str, write(found, to)))
+        remark(*map(str, write(result, to)))
 
 
 @app.command(
@@ -225,18 +225,18 @@ def _print(operation: Callable[[str], Request[CampaignView]], campaign_id: str, 
     """Prints the campaign as an operation on it leaves it."""
     from client.campaigns import campaign_state, duration
 
-    found = _call(operation, campaign_id, url)
-    far = found.progress
+    campaign = _call(operation, campaign_id, url)
+    far = campaign.progress
     row: list[str | Text] = [
-        found.id,
-        found.name,
-        campaign_state(found.state),
+        campaign.id,
+        campaign.name,
+        campaign_state(campaign.state),
         f"{far.answered}/{far.views}",
-        str(found.chosen),
+        str(campaign.chosen),
         f"{far.ended}/{far.jobs}",
-        ", ".join(f"{count} {outcome}" for outcome, count in found.outcomes.items()),
-        str(found.reused or ""),
-        "" if found.ended else duration(found.seconds_left),
+        ", ".join(f"{count} {outcome}" for outcome, count in campaign.outcomes.items()),
+        str(campaign.reused or ""),
+        "" if campaign.ended else duration(campaign.seconds_left),
     ]
     columns = ("id", "name", "state", "views>", "chosen>", "jobs>", "outcomes", "reused>", "time left>")
-    print_found(found, FittedTable(columns, [row]), as_json)
+    print_found(campaign, FittedTable(columns, [row]), as_json)

@@ -145,15 +145,15 @@ def _name(job: "JobView") -> str:
     return f"{job.name}, {job.attack}"
 
 
-def _free_port(host: str, wanted: int) -> int:
-    """The port wanted, or 0 (any free one) if somebody has it."""
+def _free_port(host: str, port: int) -> int:
+    """Returns `port` if it is free, else 0, which stands for any free port."""
     import socket
 
     try:
-        socket.create_server((host, wanted)).close()
+        socket.create_server((host, port)).close()
     except OSError:
         return 0
-    return wanted
+    return port
 
 
 STOP_SECONDS = 30.0

@@ -89,8 +89,8 @@ def _export_job(job: str, to: Path | None, url: str) -> Path:
         archive = Path(folder) / "export.zip"
         client.save(operations.download_export(whole), archive)
         write = into_folder(to)
-        with ZipFile(archive) as found:
-            for name in found.namelist():
+        with ZipFile(archive) as zipped:
+            for name in zipped.namelist():
                 # A service can name no file outside the folder.
-                write(clean_name(name.partition("/")[2]), found.read(name))
+                write(clean_name(name.partition("/")[2]), zipped.read(name))
     return to

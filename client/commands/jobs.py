@@ -270,7 +270,9 @@ def edit(
     from client import operations
     from client.client import Client
 
-    changes: dict[str, object] = {name: said for name, said in (("title", title), ("note", note)) if said is not None}
+    changes: dict[str, object] = {
+        name: value for name, value in (("title", title), ("note", note)) if value is not None
+    }
     with Client(url) as client:
         whole = whole_job_id(client, job_id)
         if tag or untag:
@@ -318,4 +320,4 @@ def download(
             if not as_json:
                 say(f"{to / name}  {artifact.size:,} bytes")
     if as_json:
-        print_json({"id": whole, "files": [str(to / Path(one.name).name) for one in artifacts]})
+        print_json({"id": whole, "files": [str(to / Path(artifact.name).name) for artifact in artifacts]})

@@ -56,7 +56,7 @@ def create(
     from services.access.caller import Scope
     from services.errors import InvalidRequest
 
-    known = [one.value for one in Scope]
+    known = [choice.value for choice in Scope]
     for word in scope or ():
         if word not in known:
             raise InvalidRequest("--scope", f"{word!r} is no scope; it is one of {', '.join(known)}")
@@ -80,14 +80,14 @@ def list_keys(data: DataOption = None, as_json: JsonOption = False) -> None:
     from client.settings import read_settings
 
     with _keys(read_settings(data=data)) as keys:
-        found = [_shown(key) for key in keys.all()]
+        all_keys = [_shown(key) for key in keys.all()]
     columns = ("prefix", "name", "owner", "scopes", "state", "expires", "created", "last used")
     rows = [
-        [one["prefix"], one["name"], one["owner"], " ".join(one["scopes"]), one["state"]]
-        + [(one[time] or "never")[:16] for time in ("expires", "created", "last_used")]
-        for one in found
+        [key["prefix"], key["name"], key["owner"], " ".join(key["scopes"]), key["state"]]
+        + [(key[time] or "never")[:16] for time in ("expires", "created", "last_used")]
+        for key in all_keys
     ]
-    print_found(found, FittedTable(columns, rows, spare=("created", "last used", "owner", "expires")), as_json)
+    print_found(all_keys, FittedTable(columns, rows, spare=("created", "last used", "owner", "expires")), as_json)
 
 
 @app.command(epilog="Example: [bold]scene-attack keys revoke sa_1f0c9a7b3e[/bold]")

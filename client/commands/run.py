@@ -82,8 +82,8 @@ def run(
         return
     from services.pipeline.result import Outcome, outcome
 
-    found = Outcome.model_validate(outcome(result))
-    say(FittedTable(COLUMNS, [cells(name, attack, found)]))
+    shown = Outcome.model_validate(outcome(result))
+    say(FittedTable(COLUMNS, [cells(name, attack, shown)]))
     if line_of_goal := goal_line(result.spec):
         say(line_of_goal)
     print_answered(result.questions, out)
@@ -204,43 +204,43 @@ def plan(
         from services.pipeline.preview import planned_cost
 
         line.update("planning")
-        found = planned_cost(job, assets)
+        planned = planned_cost(job, assets)
     if as_json:
-        print_json(found)
+        print_json(planned)
     else:
-        _print_plan(found)
+        _print_plan(planned)
 
 
 def _print_plan(planned: "PlannedCost") -> None:
     from client.tables import print_asked
 
-    found, cost = planned.plan, planned.cost
-    height, width = found.size
+    about, cost = planned.plan, planned.cost
+    height, width = about.size
     limit = "" if cost.queries is None else f", at most {cost.queries:,} queries"
     say(
-        f"{found.renderer}: {', '.join(found.groups)}, {width}×{height} pixels; tolerance {small(found.tolerance)}, "
-        f"estimated error {small(found.error)} of displayed values in [0,1] "
-        + ("(their maximum)" if found.error_is == "maximum" else "(their mean over covered pixels)"),
+        f"{about.renderer}: {', '.join(about.groups)}, {width}×{height} pixels; tolerance {small(about.tolerance)}, "
+        f"estimated error {small(about.error)} of displayed values in [0,1] "
+        + ("(their maximum)" if about.error_is == "maximum" else "(their mean over covered pixels)"),
         f"up to {cost.steps:,} steps{limit}; an image takes {1000 * cost.image_seconds:.3g} ms and a query "
         f"{1000 * cost.query_seconds:.3g} ms, so at least {cost.least_seconds:.2g} s in all, and gradients besides",
     )
-    print_asked(found.questions)
-    kept = [[f"{i.part} {i.what}".strip(), f"{i.kept:,}", f"{i.of:,}", i.why, small(i.error)] for i in found.items]
+    print_asked(about.questions)
+    kept = [[f"{i.part} {i.what}".strip(), f"{i.kept:,}", f"{i.of:,}", i.why, small(i.error)] for i in about.items]
     say(FittedTable(("item", "kept>", "of>", "why the others are left out", "error>"), kept))
     done = [
         [f"{s.part} {s.name}".strip(), s.method, s.when, f"{s.evaluations:,} {s.unit}", s.why, small(s.error)]
-        for s in found.stages
+        for s in about.stages
     ]
     if done:
         say(FittedTable(("stage", "method", "when", "work>", "why", "error>"), done))
-    if found.gradients:
+    if about.gradients:
         rows = [
-            [f"{g.part} {g.group}".strip(), small(g.relative), f"{100 * g.wrong_signs:.2g} %"] for g in found.gradients
+            [f"{g.part} {g.group}".strip(), small(g.relative), f"{100 * g.wrong_signs:.2g} %"] for g in about.gradients
         ]
         say(FittedTable(("gradient", "relative error>", "wrong signs>"), rows))
-    if found.environment_map_error is not None:
+    if about.environment_map_error is not None:
         say(
-            f"environment map's resolution: error {small(found.environment_map_error)} against 64×128 texels, not part "
+            f"environment map's resolution: error {small(about.environment_map_error)} against 64×128 texels, not part "
             "of the estimated error"
         )
 
@@ -276,9 +276,9 @@ def render(
     if as_json:
         print_json(shown)
         return
-    for one in shown.answers:
-        rows = [[label, f"{probability:.3f}"] for label, probability in one.answer.top]
-        say(FittedTable(("answer", "probability>"), rows, title=one.question))
+    for asked in shown.answers:
+        rows = [[label, f"{probability:.3f}"] for label, probability in asked.answer.top]
+        say(FittedTable(("answer", "probability>"), rows, title=asked.question))
     warn(shown.warnings)
     if out is not None:
         remark(f"Image in {out}")

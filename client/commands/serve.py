@@ -103,15 +103,15 @@ def doctor(as_json: JsonOption = False) -> None:
     from client.checkup import checkup
     from client.settings import read_settings
 
-    found = []
-    for one in checkup(read_settings()):
-        found.append(one)
+    findings = []
+    for finding in checkup(read_settings()):
+        findings.append(finding)
         if not as_json:
-            out().print(f"[{COLOURS[one.level]}]{one.level:<4}[/]", end="  ")
-            say(f"{one.subject}: {one.text}", *([f"      → {one.remedy}"] if one.remedy else []))
+            out().print(f"[{COLOURS[finding.level]}]{finding.level:<4}[/]", end="  ")
+            say(f"{finding.subject}: {finding.text}", *([f"      → {finding.remedy}"] if finding.remedy else []))
     if as_json:
-        print_json([asdict(one) for one in found])
-    if any(one.level == "fail" for one in found):
+        print_json([asdict(finding) for finding in findings])
+    if any(finding.level == "fail" for finding in findings):
         raise typer.Exit(1)
 
 
@@ -129,6 +129,6 @@ def backup(
     from client.settings import read_settings
     from services.jobs.backup import back_up
 
-    made = back_up(read_settings(data=data), folder)
-    found = {"folder": str(folder), "files": made.files, "bytes": made.size, "jobs": made.jobs}
-    print_found(found, f"{folder}  {made.jobs:,} jobs, {made.files:,} files, {made.size:,} bytes", as_json)
+    copied = back_up(read_settings(data=data), folder)
+    summary = {"folder": str(folder), "files": copied.files, "bytes": copied.size, "jobs": copied.jobs}
+    print_found(summary, f"{folder}  {copied.jobs:,} jobs, {copied.files:,} files, {copied.size:,} bytes", as_json)

@@ -32,16 +32,16 @@ def targets(context: typer.Context, as_json: JsonOption = False) -> None:
     set_up(read_settings())
     report_extensions()
     report_targets()
-    found = available()
+    networks = available()
     rows: list[list[str | Text]] = []
-    for t in found:
+    for t in networks:
         gradient = "known once loaded" if t.differentiable is None else yes(t.differentiable)
         size = "×".join(map(str, t.input_size))
         rows.append([t.name, t.title, t.task, size, f"{t.classes:,}", gradient, t.licence])
     columns = ("target", "title", "task", "input", "classes>", "differentiable", "licence")
-    print_found(found, FittedTable(columns, rows, spare=("licence", "task", "title")), as_json)
+    print_found(networks, FittedTable(columns, rows, spare=("licence", "task", "title")), as_json)
     if not as_json:
-        say(*(f"{t.name}: {t.missing}" for t in found if t.missing is not None))
+        say(*(f"{t.name}: {t.missing}" for t in networks if t.missing is not None))
 
 
 @app.command(epilog="Example: [bold]scene-attack targets check efficientnet-lite0[/bold]")
@@ -65,15 +65,15 @@ def check(
         assets = library(settings)
         from services.pipeline.target_check import check as try_target
 
-        found = try_target(name, mesh, assets, line.update)
+        checked = try_target(name, mesh, assets, line.update)
     if as_json:
-        print_json(found)
+        print_json(checked)
     else:
-        _print(found)
+        _print(checked)
 
 
-def _print(found: "TargetCheck") -> None:
-    card = found.target
+def _print(checked: "TargetCheck") -> None:
+    card = checked.target
     facts = {
         "target": card.name,
         "title": card.title,
@@ -81,13 +81,13 @@ def _print(found: "TargetCheck") -> None:
         "classes": f"{card.classes:,}",
         "licence": card.licence,
         "source": card.source,
-        "weights sha256": found.weights_sha256,
+        "weights sha256": checked.weights_sha256,
         "card sha256": card.card_sha256 or "",
-        "backend": found.backend,
-        "gradient": "yes" if found.gradient else f"no: {found.no_gradient}",
-    } | {f"time, batch of {count}": f"{1000 * time:.2f} ms an image" for count, time in found.seconds.items()}
+        "backend": checked.backend,
+        "gradient": "yes" if checked.gradient else f"no: {checked.no_gradient}",
+    } | {f"time, batch of {count}": f"{1000 * time:.2f} ms an image" for count, time in checked.seconds.items()}
     say(FittedTable(("", ""), facts.items()))
-    rows = [[answer.label, f"{answer.probability:.3f}"] for answer in found.answers]
-    shown = "a generated scene" if found.mesh is None else f"a view of {found.mesh}"
-    asked = f"{found.question!r} about " if found.question else ""
+    rows = [[answer.label, f"{answer.probability:.3f}"] for answer in checked.answers]
+    shown = "a generated scene" if checked.mesh is None else f"a view of {checked.mesh}"
+    asked = f"{checked.question!r} about " if checked.question else ""
     say(FittedTable((f"answer to {asked}{shown}", "probability>"), rows))

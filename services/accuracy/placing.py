@@ -63,9 +63,9 @@ def sky(rows: int = 8, cols: int = 16) -> Floats:
 
 def sun(radiance: float, around: float, rows: int = 16, cols: int = 32) -> Floats:
     """A map [rows, cols, 3] of radiance `around`, with one texel of `radiance` above and right of the camera."""
-    found = np.full((rows, cols, 3), around, np.float32)
-    found[rows // 4, cols // 4] = radiance
-    return found
+    texels = np.full((rows, cols, 3), around, np.float32)
+    texels[rows // 4, cols // 4] = radiance
+    return texels
 
 
 def broad_sun() -> Floats:

@@ -7,7 +7,7 @@ Row = TypeVar("Row")
 
 
 def table(columns: Mapping[str, Callable[[Row], str]], rows: Iterable[Row]) -> str:
-    """A table of rows: each column by its heading, as in `markdown`, with what writes its cell of a row."""
+    """A table of rows. `columns` gives for each heading, as in `markdown`, the function that writes a row's cell."""
     return markdown(columns, ([cell(row) for cell in columns.values()] for row in rows))
 
 

@@ -1,1 +1,1 @@
-"""Stiff and extreme cases: what must hold of each, and what was seen."""
+"""Stiff and extreme cases: the property that must hold in each, and the measured result."""

@@ -24,7 +24,7 @@ from services.rendering.protocol import Parameters, Renderer
 from services.scenes.mesh import Doubles
 
 LIMIT = 18 / 255
-"""U of the paper."""
+"""Bound U of the paper on the change of a pixel's value."""
 
 FLOAT32 = 1e-6
 """Rounding of a perturbation below 1 after some tens of float32 sums."""
@@ -36,8 +36,8 @@ def _start() -> Doubles:
 
 def _pixel_fgsm(steps: int, rate: float, begin: Doubles | None = None, **settings: Any) -> AttackRun:
     """FGSM on the pixels for some steps, from the perturbation `begin` if there is one."""
-    given = {"renderer": "image", "learning_rate": {"image": rate}, "truncation": None, "steps": steps} | settings
-    attack = Fgsm.model_validate(given)
+    fields = {"renderer": "image", "learning_rate": {"image": rate}, "truncation": None, "steps": steps} | settings
+    attack = Fgsm.model_validate(fields)
     limit = None if attack.truncation is None else attack.truncation / 255
     problem = linear_problem(pixels(), truncation=limit)
     run = AttackRun.begin_or_resume(problem, attack, Verifier.of(problem))
@@ -68,7 +68,7 @@ def _momentum(steps: int, rate: float, momentum: float, decay: float, bounded: b
 def _held() -> Measured:
     """Steps of 0.1 are beyond U at once: nothing that is held back passes a gradient, so the first step is the last.
 
-    What is shown is the original ± U.
+    The attacked image is the original ± U.
     """
     run = _pixel_fgsm(5, 0.1, momentum=0.0, weight_decay=0.0, truncation=18)
     sign = np.sign(linear_gradient().numpy())
@@ -82,12 +82,12 @@ def _held() -> Measured:
 
 
 def _partly_held() -> Measured:
-    """Of each pixel one value is beyond U and two are not: the step moves those two only."""
+    """One value of each pixel is beyond U and two are not: the step moves only those two."""
     begin = np.full_like(_start(), 0.5 * LIMIT)
     begin[..., 1] = -1.5 * LIMIT
     run = _pixel_fgsm(1, 0.01, begin, momentum=0.0, weight_decay=0.0, truncation=18)
-    wanted = begin - 0.01 * np.sign(linear_gradient().numpy()) * (np.abs(begin) < LIMIT)
-    error = np.abs(run.stored["image"].double().numpy() - wanted).max()
+    reference = begin - 0.01 * np.sign(linear_gradient().numpy()) * (np.abs(begin) < LIMIT)
+    error = np.abs(run.stored["image"].double().numpy() - reference).max()
     return Measured(float(error), FLOAT32, "error of the perturbation")
 
 
@@ -98,9 +98,9 @@ def _with_weight(at: float, delta: float, weight: float) -> Measured:
     where = at * random.choice([-1.0, 1.0], size=_start().size)
     start = torch.from_numpy(where).float()
     deltas = torch.full((len(where),), delta, dtype=torch.float64)
-    found = estimate(problem, start, torch.arange(len(where)), deltas, measure_noise(problem, start))
-    wanted = linear_gradient().flatten().numpy() + 2 * weight * where
-    error = np.abs(found.gradients.double().numpy() - wanted).max() / np.abs(wanted).max()
+    estimated = estimate(problem, start, torch.arange(len(where)), deltas, measure_noise(problem, start))
+    reference = linear_gradient().flatten().numpy() + 2 * weight * where
+    error = np.abs(estimated.gradients.double().numpy() - reference).max() / np.abs(reference).max()
     # float32 scores of about 1 have 1e-6, over twice the step.
     return Measured(float(error), 1e-6 / delta, "relative error of a gradient, closed form")
 
@@ -113,9 +113,9 @@ def _chosen_step() -> Measured:
     chosen = attack.measured(problem, state)["delta"]
     need(isinstance(chosen, dict) and chosen["image"] in CANDIDATES[1:-1], f"it chose {chosen}")
     deltas, noise = state["half_steps"], float(state["noise"])
-    found = estimate(problem, torch.zeros(len(deltas)), torch.arange(len(deltas)), deltas, noise)
-    wanted = linear_gradient().flatten()
-    error = (found.gradients.double() - wanted).abs().max() / wanted.abs().max()
+    estimated = estimate(problem, torch.zeros(len(deltas)), torch.arange(len(deltas)), deltas, noise)
+    reference = linear_gradient().flatten()
+    error = (estimated.gradients.double() - reference).abs().max() / reference.abs().max()
     return Measured(float(error), 1e-3, "relative error of a gradient, closed form")
 
 
@@ -134,11 +134,11 @@ def _adam(steps: int, weight: float) -> Measured:
         gradient = w + 2 * weight * delta
         first, second = 0.9 * first + 0.1 * gradient, 0.999 * second + 0.001 * gradient**2
         delta = delta - rate * (first / (1 - 0.9**step)) / (np.sqrt(second / (1 - 0.999**step)) + 1e-8)
-    found = state["delta"].double().numpy()
+    reached = state["delta"].double().numpy()
     # A difference has 1e-4, and Adam's quotient the relative error of its gradients: those that pass 0 are left out.
     large = np.abs(w) > 2.5 * weight * rate * steps + 0.01
     need(large.mean() > 0.5, f"only {large.mean():.0%} of the gradients are large")
-    return Measured(float(np.abs(found - delta)[large].max()) / rate, 1e-2, "error of the perturbation, in steps")
+    return Measured(float(np.abs(reached - delta)[large].max()) / rate, 1e-2, "error of the perturbation, in steps")
 
 
 def recurrence_cases() -> list[Case]:
@@ -175,8 +175,8 @@ DEFINED = "largest error of a displayed value, against the definition in float64
 def _rendered_fgsm(renderer: Renderer, group: str, steps: int, **settings: Any) -> tuple[AttackRun, Parameters]:
     """The attack after all its steps, and its last perturbation, which need not be the one that it stored."""
     problem = linear_problem(renderer, (group,))
-    given = {"renderer": renderer.name, "groups": (group,), "truncation": None, "steps": steps}
-    attack = Fgsm.model_validate(given | settings)
+    fields = {"renderer": renderer.name, "groups": (group,), "truncation": None, "steps": steps}
+    attack = Fgsm.model_validate(fields | settings)
     run = run_attack(AttackRun.begin_or_resume(problem, attack, Verifier.of(problem)))
     need(run.step == steps, f"it stopped after {run.step} steps")
     need(all(np.isfinite(row.perceptibility) for row in run.trace), "a perceptibility is not finite")
@@ -277,10 +277,10 @@ def _coasting() -> Measured:
     run_attack(run)
     # (Δ, v) → v' = momentum·v + decay·Δ, Δ' = Δ − rate·v'
     step = np.array([[1 - rate * decay, -rate * momentum], [decay, momentum]])
-    wanted = float((np.linalg.matrix_power(step, 120) @ np.array([0.0, -1.0]))[0])
+    reference = float((np.linalg.matrix_power(step, 120) @ np.array([0.0, -1.0]))[0])
     need(run.step == 120, f"it stopped after {run.step} steps")
-    error = (run.stored["illumination"].double() - wanted).abs().max()
-    return Measured(float(error) / wanted, 1e-5, "relative error of the perturbation, closed form")
+    error = (run.stored["illumination"].double() - reference).abs().max()
+    return Measured(float(error) / reference, 1e-5, "relative error of the perturbation, closed form")
 
 
 def _at_the_limit() -> Measured:
@@ -338,9 +338,14 @@ def _too_small(renderer: Renderer, group: str) -> Measured:
     count = min(problem.layout.total, 24)
     deltas = torch.full((count,), 1e-12, dtype=torch.float64)
     nothing = problem.layout.zeros()
-    found = estimate(problem, nothing, torch.arange(count), deltas, measure_noise(problem, nothing))
-    need(bool(found.below_noise.all()), f"{int((~found.below_noise).sum())} of {count} differences are not called flat")
-    return Measured(largest(found.gradients), 0.0, f"largest gradient; {count} of {count} differences reported flat")
+    estimated = estimate(problem, nothing, torch.arange(count), deltas, measure_noise(problem, nothing))
+    need(
+        bool(estimated.below_noise.all()),
+        f"{int((~estimated.below_noise).sum())} of {count} differences are not called flat",
+    )
+    return Measured(
+        largest(estimated.gradients), 0.0, f"largest gradient; {count} of {count} differences reported flat"
+    )
 
 
 def _zoo_flat() -> Measured:
@@ -355,21 +360,23 @@ def _zoo_flat() -> Measured:
 
 
 def _gradients(delta: float, at: float = 0.0) -> tuple[Tensor, Tensor, Tensor, float]:
-    """Gradients, their closed form, which are flat, and the noise, of differences of pixels."""
+    """Returns gradients by differences of pixels, their closed form, which of them are flat, and the noise."""
     problem = linear_problem(pixels(), lead=0.0)
     start = torch.full((3 * SIDE * SIDE,), at)
     noise = measure_noise(problem, start)
     deltas = torch.full((len(start),), delta, dtype=torch.float64)
-    found = estimate(problem, start, torch.arange(len(start)), deltas, noise)
-    return found.gradients, linear_gradient().flatten(), found.below_noise, noise
+    estimated = estimate(problem, start, torch.arange(len(start)), deltas, noise)
+    return estimated.gradients, linear_gradient().flatten(), estimated.below_noise, noise
 
 
 def _too_large() -> Measured:
     """A step of 1 leaves [0,1] on both sides: it is held at the bounds, and the way between them divides."""
-    gradients, wanted, flat, _ = _gradients(1.0)
+    gradients, reference, flat, _ = _gradients(1.0)
     need(not bool(flat.any()), "a difference is called flat")
     return Measured(
-        float((gradients - wanted).abs().max() / wanted.abs().max()), 1e-5, "relative error of a gradient, closed form"
+        float((gradients - reference).abs().max() / reference.abs().max()),
+        1e-5,
+        "relative error of a gradient, closed form",
     )
 
 
@@ -378,11 +385,11 @@ def _sweep() -> Measured:
     worst = 0.0
     for exponent in range(1, 13):
         delta = 10.0**-exponent
-        gradients, wanted, flat, noise = _gradients(delta, at=0.1)
+        gradients, reference, flat, noise = _gradients(delta, at=0.1)
         need(exponent > 3 or not bool(flat.all()), f"all differences of {delta:g} are flat")
-        error = (gradients - wanted).abs()[~flat]
+        error = (gradients - reference).abs()[~flat]
         if len(error):
-            worst = max(worst, float(error.max()) * 2 * delta / (noise + 1e-5 * 2 * delta * largest(wanted)))
+            worst = max(worst, float(error.max()) * 2 * delta / (noise + 1e-5 * 2 * delta * largest(reference)))
     return Measured(worst, 1.0, "error of a gradient that is not flat, in units of the noise over the step")
 
 

@@ -1,4 +1,4 @@
-"""One stiff or extreme case: what is stiff, what must hold, and how it is seen to hold."""
+"""One stiff or extreme case: its difficulty, the property that must hold, and the measurement that shows it."""
 
 import warnings
 from collections.abc import Callable
@@ -30,7 +30,7 @@ def largest(values: Any) -> float:
 
 @dataclass(frozen=True)
 class Measured:
-    """`value` must be at most `limit`; `what` says of what, and against which reference."""
+    """A measured `value`, which must be at most `limit`; `what` names the quantity and its reference."""
 
     value: float
     limit: float
@@ -55,16 +55,16 @@ class Case:
     refusal: str | None = None
     slow: bool = False
     family: str = ""
-    """Set where the families are put together (`report.cases`)."""
+    """Set when the families are put together (`report.cases`)."""
 
     @property
     def outcome(self) -> Outcome:
-        """What it must come to."""
+        """The outcome that the case must have."""
         return self.held if self.refusal is None else "refused"
 
 
 class Observation(BaseModel):
-    """What a case came to."""
+    """The result of a case."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -85,8 +85,8 @@ def band(seconds: float) -> str:
 
 
 def observe(case: Case) -> Observation:
-    """Runs a case. Whatever it raises, other than the refusal it must come to, is a failure; so is a numpy warning of
-    an overflow or of an invalid operation."""
+    """Runs a case. Any error other than the refusal that the case expects is a failure; so is a numpy warning of an
+    overflow or of an invalid operation."""
     began = perf_counter()
     measured = None
     try:

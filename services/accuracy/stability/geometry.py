@@ -1,4 +1,4 @@
-"""Where objects are in the image: tiny, huge, hidden, cut off or not there; after turns and moves; in images of one
+"""Positions of objects in the image: tiny, huge, hidden, cut off or absent; after turns and moves; in images of one
 pixel, of millions, and of one row.
 """
 
@@ -29,7 +29,7 @@ EDGES = 0.02
 """Share of covered samples that may differ from the rays': those within rounding of an edge."""
 
 SURFACE = 1e-4
-"""Error of what a covered pixel holds of the surface (normal, base colour; depth, relative): float32 throughout, over
+"""Error of a covered pixel's normal, base colour and depth (relative): float32 throughout, over
 the frame's depth range. Pixels at edges inside the object may have more, as many as EDGES of them."""
 
 CUBE = FIT_RADIUS / 3**0.5
@@ -40,7 +40,7 @@ SHOWN = 2e-6
 
 
 def sound(scene: ResolvedScene) -> GBuffer:
-    """The G-buffer, with what must hold of any: unit normals; all finite."""
+    """Returns the G-buffer. Raises Broken unless its values are finite and its normals have unit length."""
     seen = rasterise(scene)
     for name in ("normals", "base_color", "depth", "coverage"):
         need(bool(torch.isfinite(getattr(seen, name)).all()), f"{name} has values that are not finite")
@@ -52,24 +52,24 @@ def sound(scene: ResolvedScene) -> GBuffer:
 def against_rays(scene: ResolvedScene, covered: bool = False) -> Measured:
     """The rasterised coverage, depth, normals and base colours against rays through each sample.
 
-    `covered`: every pixel must be, wholly.
+    With `covered`, every pixel must be wholly covered.
     """
     seen = sound(scene)
-    found = cast(scene, FACTOR)
-    share = found.coverage.reshape(seen.coverage.shape)
+    hits = cast(scene, FACTOR)
+    share = hits.coverage.reshape(seen.coverage.shape)
     need(share.sum() > 0, "no ray meets anything")
     ours = seen.coverage.double().numpy()
     need(not covered or ours.min() == share.min() == 1, "a pixel is not wholly covered")
     off = float(np.abs(ours - share).sum() / share.sum())
     both = ((share == 1) & (ours == 1)).ravel()
     if both.any():
-        wanted = found.mean(found.normals)[both]
-        leaning = np.linalg.norm(wanted, axis=1) > 0.5  # the mean of opposite normals has no direction
-        wanted = wanted / np.linalg.norm(wanted, axis=1, keepdims=True)
-        far = np.linalg.norm(seen.normals.reshape(-1, 3).double().numpy()[both] - wanted, axis=1)[leaning]
-        depth = found.mean(found.depth)[both]
+        normals = hits.mean(hits.normals)[both]
+        leaning = np.linalg.norm(normals, axis=1) > 0.5  # the mean of opposite normals has no direction
+        normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
+        far = np.linalg.norm(seen.normals.reshape(-1, 3).double().numpy()[both] - normals, axis=1)[leaning]
+        depth = hits.mean(hits.depth)[both]
         deep = np.abs(seen.depth.double().numpy().ravel()[both] - depth) / depth
-        color = np.abs(seen.base_color.reshape(-1, 3).double().numpy()[both] - found.mean(found.colors)[both])
+        color = np.abs(seen.base_color.reshape(-1, 3).double().numpy()[both] - hits.mean(hits.colors)[both])
         for name, error in (("depths", deep), ("normals", far), ("base colours", color)):
             typical = float(np.quantile(error, 1 - EDGES))
             need(typical < SURFACE, f"{name} are off by {typical:.1e}")
@@ -86,16 +86,16 @@ def _filled(mesh: str, thing: dict[str, Any], camera: dict[str, float]) -> Measu
     """In front of, and inside, an object that is all there is to see; drawn by both renderers."""
     scene = placed(mesh, thing=thing, camera=camera)
     against_rays(scene, covered=True)
-    wanted = expected(scene)
-    need(len(wanted.pixels) > 100, f"only {len(wanted.pixels)} pixels are flat")
+    reference = expected(scene)
+    need(len(reference.pixels) > 100, f"only {len(reference.pixels)} pixels are flat")
     drawn = drawn_by(scene, "pyrender")
-    shown = [one.render({})[0].reshape(-1, 3)[wanted.pixels].double().numpy() for one in drawn]
-    error = max(largest(image - wanted.shown) for image in shown)
+    shown = [variant.render({})[0].reshape(-1, 3)[reference.pixels].double().numpy() for variant in drawn]
+    error = max(largest(image - reference.shown) for image in shown)
     return Measured(error, SHOWN, "largest error of pyrender's image against its formula; G-buffer as rays have it")
 
 
 def _pole(elevation: float) -> Measured:
-    """Straight above or below, where up has no meaning, the view is the limit of views beside it."""
+    """Straight above or below, where the up direction is undefined, the view is the limit of nearby views."""
     scene = placed("primitive/cone", camera={"elevation": elevation, "azimuth": 0.7})
     axes = scene.view[:3, :3]
     need(bool(np.abs(axes.T @ axes - np.eye(3)).max() < 1e-12), "the camera's axes are not at right angles")
@@ -109,9 +109,9 @@ def _refused(thing: dict[str, Any], camera: dict[str, Any] | None = None) -> Mea
     return Measured(1.0, 0.0, "scenes resolved")
 
 
-def _seen(mesh: str = "primitive/cube", **given: Any) -> Callable[[], Measured]:
-    """A measurement of a scene against rays; `given` as for `placed`."""
-    return lambda: against_rays(placed(mesh, **given))
+def _seen(mesh: str = "primitive/cube", **options: Any) -> Callable[[], Measured]:
+    """A measurement of a scene against rays; `options` are the arguments of `placed`."""
+    return lambda: against_rays(placed(mesh, **options))
 
 
 def view_cases() -> list[Case]:
@@ -211,8 +211,8 @@ def _turned(by_attack: bool) -> Measured:
         thing = {"color": (0, 0, 0), "rotation": (0.0, 0.0, 0.0) if by_attack else turn}
         dark = {"ambient": 0.0, "points": []}
         scene = placed(box((0.3, 0, 0), 0.1), size=(48, 48), camera=camera, thing=thing, lights=dark, ground=(1, 1, 1))
-        given = {"rotation": torch.tensor([[turn]], dtype=torch.float64)}
-        images = [one.render(given if by_attack else {})[0] for one in drawn_by(scene, "pyrender")]
+        parameters = {"rotation": torch.tensor([[turn]], dtype=torch.float64)}
+        images = [variant.render(parameters if by_attack else {})[0] for variant in drawn_by(scene, "pyrender")]
         covered = [1 - image.double().mean(dim=2).numpy() for image in images]
         covered += [] if by_attack else [rasterise(scene).coverage.double().numpy()]
         offset = 24 / tan(scene.description.camera.field_of_view / 2) * 0.3 / 1.8
@@ -265,9 +265,9 @@ def _looked_at() -> Measured:
             right = x * cos(azimuth)
             up = y * cos(elevation) - x * sin(azimuth) * sin(elevation)
             depth = distance - x * sin(azimuth) * cos(elevation) - y * sin(elevation)
-            wanted = right * cos(roll) + up * sin(roll), up * cos(roll) - right * sin(roll)
+            offsets = right * cos(roll) + up * sin(roll), up * cos(roll) - right * sin(roll)
             middle = (share * columns).sum() / share.sum() - size / 2, size / 2 - (share * rows).sum() / share.sum()
-            worst = max(worst, *(abs(m - focal * w / depth) for m, w in zip(middle, wanted, strict=True)))
+            worst = max(worst, *(abs(m - focal * w / depth) for m, w in zip(middle, offsets, strict=True)))
     return Measured(worst, 0.25, "distance of its middle from where it must be, in pixels")
 
 
@@ -286,35 +286,36 @@ def pose_cases() -> list[Case]:
 
 
 SPREAD = 1009
-"""About how many pixels of a large image are looked at; no multiple of its width, so that they are all over it."""
+"""Approximate number of pixels of a large image that are compared; no multiple of its width, so that they are spread
+all over it."""
 
 
 def _image(size: tuple[int, int]) -> Measured:
     """A sphere at this size; a few hundred covered pixels are looked at."""
     scene = placed("primitive/sphere", size=size, radiance=sky(), thing={"material": "plastic"})
     shading = Shading.of(scene)
-    found, covered = shading.errors({}), int((shading.gbuffer.coverage > 0).sum())
-    return found.within(shading.due, f"largest error of a displayed value, against the definition; {covered:,} pixels")
+    errors, covered = shading.errors({}), int((shading.gbuffer.coverage > 0).sum())
+    return errors.within(shading.due, f"largest error of a displayed value, against the definition; {covered:,} pixels")
 
 
 def _flat_pixels(size: tuple[int, int]) -> Measured:
-    """pyrender at this size: pixels that lie in one face of a cube, against their formula.
+    """Compares pyrender at this size with the formula, at pixels that lie in one face of a cube.
 
     Of a large image a few hundred pixels are looked at, in rows and columns all over it.
     """
     camera = {"field_of_view": 0.02} if size == (1, 1) else {}
     scene = placed("primitive/cube", size=size, camera=camera, thing={"color": (0.7, 0.4, 0.1)})
     count = size[0] * size[1]
-    wanted = expected(scene, pixels=np.arange(0, count, max(1, count // SPREAD)))
-    need(len(wanted.pixels) > 0.2 * min(count, SPREAD), f"only {len(wanted.pixels)} pixels are flat")
+    reference = expected(scene, pixels=np.arange(0, count, max(1, count // SPREAD)))
+    need(len(reference.pixels) > 0.2 * min(count, SPREAD), f"only {len(reference.pixels)} pixels are flat")
     renderer = build(scene, "pyrender")
     worst = 0.0
-    for one in (renderer, renderer.exact()):
-        image = one.render({})[0]
+    for variant in (renderer, renderer.exact()):
+        image = variant.render({})[0]
         need(image.shape == (*size, 3), f"the image is {tuple(image.shape)}")
         need(bool(torch.isfinite(image).all()), "the image has values that are not finite")
-        worst = max(worst, largest(image.reshape(-1, 3)[wanted.pixels].double().numpy() - wanted.shown))
-    what = f"largest error of a displayed value, against the formula; {len(wanted.pixels)} pixels"
+        worst = max(worst, largest(image.reshape(-1, 3)[reference.pixels].double().numpy() - reference.shown))
+    what = f"largest error of a displayed value, against the formula; {len(reference.pixels)} pixels"
     return Measured(worst, SHOWN, what)
 
 
@@ -352,9 +353,9 @@ def _black() -> Measured:
 def _white() -> Measured:
     """A white matte surface keeps its contrast: the exposure leaves room above it."""
     shading = Shading.of(placed(thing={"color": (1, 1, 1)}, radiance=sky()))
-    found = shading.errors({})
-    need(found.clipped == 0, f"{found.clipped:.0%} of the pixels are beyond white")
-    return found.within(shading.due, "largest error of a displayed value, against the definition; none is clipped")
+    errors = shading.errors({})
+    need(errors.clipped == 0, f"{errors.clipped:.0%} of the pixels are beyond white")
+    return errors.within(shading.due, "largest error of a displayed value, against the definition; none is clipped")
 
 
 def size_cases() -> list[Case]:

@@ -23,8 +23,8 @@ FORMULA = 1e-5
 highlight is narrow)."""
 
 FLOOR = 0.01
-"""The same of a floor of two triangles: OpenGL shades both where they meet, each up to a quarter pixel from the middle.
-The rasteriser, which shades the middle, is off by 2e-7."""
+"""The same error for a floor of two triangles: OpenGL shades both where they meet, each up to a quarter pixel from the
+middle. The rasteriser, which shades the middle, is off by 2e-7."""
 
 CAMERA = {"azimuth": 0.4, "elevation": 0.3}
 LIGHTS: dict[str, Any] = {
@@ -56,7 +56,7 @@ TRIANGLE = {
 """A triangle in z = 0 that faces +z, u to the right and v down: without a diagonal at which a pixel has two parts."""
 
 MIRRORED = {"TEXCOORD_0": TRIANGLE["TEXCOORD_0"] * (-1, 1)}
-"""The same with u to the left."""
+"""The same triangle with u to the left."""
 
 
 def _scene(material: dict[str, Any], arrays: dict[str, Any], thing: dict[str, Any], **node: Any) -> ResolvedScene:
@@ -70,26 +70,26 @@ def _material(metallic: float, roughness: float, **more: Any) -> dict[str, Any]:
 
 
 def _against_formula(scene: ResolvedScene, surface: Surface, limit: float = FORMULA) -> Measured:
-    """Radiance and displayed values, and the G-buffer's normals and base colours, where the surface is flat."""
-    wanted = expected(scene, shading=surface.radiance)
-    need(len(wanted.pixels) > 50, f"only {len(wanted.pixels)} pixels are flat")
-    brightest = float(wanted.radiance.max())
+    """Compares radiance, displayed values, normals and base colours with the formula, where the surface is flat."""
+    reference = expected(scene, shading=surface.radiance)
+    need(len(reference.pixels) > 50, f"only {len(reference.pixels)} pixels are flat")
+    brightest = float(reference.radiance.max())
     renderer = PyrenderRenderer(scene)
     worst = 0.0
-    for one in (renderer, renderer.exact()):
-        radiance = one.radiance({})[0].reshape(-1, 4)[wanted.pixels, :3].double().numpy()
-        shown = one.render({})[0].reshape(-1, 3)[wanted.pixels].double().numpy()
-        worst = max(worst, largest(radiance - wanted.radiance) / brightest)
-        worst = max(worst, largest(shown - wanted.shown))
+    for variant in (renderer, renderer.exact()):
+        radiance = variant.radiance({})[0].reshape(-1, 4)[reference.pixels, :3].double().numpy()
+        shown = variant.render({})[0].reshape(-1, 3)[reference.pixels].double().numpy()
+        worst = max(worst, largest(radiance - reference.radiance) / brightest)
+        worst = max(worst, largest(shown - reference.shown))
     seen = rasterise(scene)
-    colors = seen.base_color.reshape(-1, 3)[wanted.pixels].double().numpy()
+    colors = seen.base_color.reshape(-1, 3)[reference.pixels].double().numpy()
     factor = scene.meshes[0].parts[0].color[:3].astype(np.float64)
     worst = max(worst, largest(colors - factor * COLOR * surface.texel))
     if surface.normal is not None:
-        normals = seen.normals.reshape(-1, 3)[wanted.pixels].double().numpy()
+        normals = seen.normals.reshape(-1, 3)[reference.pixels].double().numpy()
         worst = max(worst, largest(normals - surface.normal))
     what = "largest error of radiance (relative to the brightest), of displayed values and of the G-buffer"
-    return Measured(worst, limit, f"{what}; {len(wanted.pixels)} pixels")
+    return Measured(worst, limit, f"{what}; {len(reference.pixels)} pixels")
 
 
 def _plain(metallic: float, roughness: float, **more: Any) -> Measured:
@@ -111,9 +111,9 @@ def _given(metallic: float, roughness: float) -> Measured:
 def _floor() -> Measured:
     """A cube over a floor that reaches behind the camera, both of one given surface, in the light of a point alone,
     which the rasteriser knows too."""
-    given = {"metallic": 0.5, "roughness": 0.4}
-    thing = {"color": COLOR, "scale": 0.5, "rotation": (0.3, 0.5, 0.2)} | given
-    floor = {"size": 8.0, "height": -0.4, "color": COLOR} | given
+    factors = {"metallic": 0.5, "roughness": 0.4}
+    thing = {"color": COLOR, "scale": 0.5, "rotation": (0.3, 0.5, 0.2)} | factors
+    floor = {"size": 8.0, "height": -0.4, "color": COLOR} | factors
     light = {"ambient": 0.3, "points": LIGHTS["points"]}
     camera = CAMERA | {"elevation": 0.6}
     scene = placed("primitive/cube", size=(33, 33), camera=camera, thing=thing, lights=light, floor=floor)
@@ -164,7 +164,7 @@ def _bent(
     thing: dict[str, Any] | None = None,
     **node: Any,
 ) -> Measured:
-    """A normal map at half its scale. `axes`: where +u and up in the texture point, as ±1 for x and ±2 for y."""
+    """A normal map at half its scale. `axes`: directions of +u and of up in the texture, ±1 for x and ±2 for y."""
     more = {"normalTexture": {"image": BEND, "scale": 0.5}, "doubleSided": bool(thing)}
     bend = (BEND[0, 0] / 255 * 2 - 1) * (0.5, 0.5, 1.0)
     normal = np.array([0.0, 0.0, bend[2]])
@@ -178,15 +178,15 @@ def _bent(
 def _coverages(scene: ResolvedScene) -> list[float]:
     """The largest coverage of a pixel: in pyrender's images and the exact renderer's, and in the G-buffer."""
     renderer = PyrenderRenderer(scene)
-    found = [float(one.radiance({})[0, ..., 3].max()) for one in (renderer, renderer.exact())]
+    coverages = [float(variant.radiance({})[0, ..., 3].max()) for variant in (renderer, renderer.exact())]
     try:
-        return [*found, float(rasterise(scene).coverage.max())]
+        return [*coverages, float(rasterise(scene).coverage.max())]
     except InvalidRequest:  # nothing is in view
-        return [*found, 0.0]
+        return [*coverages, 0.0]
 
 
 def _sides() -> Measured:
-    """Nothing of a single-sided face is seen from behind, and all of a mirrored one from its front."""
+    """A single-sided face is invisible from behind, and a mirrored one is wholly visible from its front."""
     turned = _coverages(_scene(_material(0.2, 0.6), {}, {"rotation": (0.0, pi, 0.0)}))
     need(turned == [0, 0, 0], f"a back is seen, at coverages {turned}")
     mirrored = _scene(_material(0.2, 0.6), {}, {}, scale=(-1.0, 1.0, 1.0))
@@ -195,15 +195,15 @@ def _sides() -> Measured:
 
 
 def _cut_out() -> Measured:
-    """Within the outline alpha at the cutoff is seen, however it is interpolated; below it is not (glTF 2.0, 3.9.4)."""
+    """Within the outline, alpha at the cutoff is visible, however it is interpolated; below, not (glTF 2.0, 3.9.4)."""
     worst = 0.0
-    for alpha, cutoff, wanted in ((1.0, 1.0, 1.0), (0.5, 0.5, 1.0), (0.49999, 0.5, 0.0)):
+    for alpha, cutoff, coverage in ((1.0, 1.0, 1.0), (0.5, 0.5, 1.0), (0.49999, 0.5, 0.0)):
         surface = {"baseColorFactor": (*BASE, alpha)}
         scene = _scene(_material(0.2, 0.6, surface=surface, alphaMode="MASK", alphaCutoff=cutoff), {}, {})
         inner, renderer = expected(scene).pixels, PyrenderRenderer(scene)
-        for one in (renderer, renderer.exact()):
-            seen = one.radiance({})[0, ..., 3].flatten()[inner]
-            worst = max(worst, largest(seen - wanted))
+        for variant in (renderer, renderer.exact()):
+            seen = variant.radiance({})[0, ..., 3].flatten()[inner]
+            worst = max(worst, largest(seen - coverage))
     return Measured(worst, 0.0, "error of the coverage: 1 at the cutoff and 0 a hundred-thousandth below it")
 
 
@@ -215,19 +215,19 @@ def _blended() -> Measured:
     emission = (0.3, 0.2, 0.1)
     more = {"surface": {"baseColorFactor": (*BASE, 0.4)}, "alphaMode": "BLEND", "emissiveFactor": emission}
     scene = _scene(_material(0.2, 0.6, **more), {}, {})
-    wanted = expected(scene, shading=Surface(0.2, 0.6, emission=emission).radiance)
-    ground, brightest = np.array(scene.description.ground), float(wanted.radiance.max())
+    reference = expected(scene, shading=Surface(0.2, 0.6, emission=emission).radiance)
+    ground, brightest = np.array(scene.description.ground), float(reference.radiance.max())
     renderer = PyrenderRenderer(scene)
     worst = 0.0
-    for one in (renderer, renderer.exact()):
-        found = one.radiance({})[0].reshape(-1, 4)[wanted.pixels].double().numpy()
-        shown = one.render({})[0].reshape(-1, 3)[wanted.pixels].double().numpy()
-        worst = max(worst, largest(found[:, :3] - 0.4 * wanted.radiance) / brightest)
-        worst = max(worst, largest(found[:, 3] - 0.4))
-        worst = max(worst, largest(shown - (0.4 * wanted.shown + 0.6 * ground)))
-    seen = rasterise(scene).coverage.flatten()[wanted.pixels].double().numpy()
+    for variant in (renderer, renderer.exact()):
+        radiance = variant.radiance({})[0].reshape(-1, 4)[reference.pixels].double().numpy()
+        shown = variant.render({})[0].reshape(-1, 3)[reference.pixels].double().numpy()
+        worst = max(worst, largest(radiance[:, :3] - 0.4 * reference.radiance) / brightest)
+        worst = max(worst, largest(radiance[:, 3] - 0.4))
+        worst = max(worst, largest(shown - (0.4 * reference.shown + 0.6 * ground)))
+    seen = rasterise(scene).coverage.flatten()[reference.pixels].double().numpy()
     need(bool((np.abs(seen - 0.4) <= 1 / 16).all()), "the G-buffer's share of samples is not 0.4")
-    return Measured(worst, FORMULA, f"error of radiance, coverage and displayed values; {len(wanted.pixels)} pixels")
+    return Measured(worst, FORMULA, f"error of radiance, coverage and displayed values; {len(reference.pixels)} pixels")
 
 
 def _second_set() -> Measured:
@@ -237,8 +237,8 @@ def _second_set() -> Measured:
     arrays = {"TEXCOORD_0": np.tile([0.25, 0.5], (3, 1)), "TEXCOORD_1": np.tile([0.75, 0.5], (3, 1))}
     surface = {"baseColorTexture": {"image": image, "texCoord": 1}}
     texel = decoded([188, 255, 128])
-    wanted = Surface(0.2, 0.6, texel=(texel[0], texel[1], texel[2]))
-    return _against_formula(_scene(_material(0.2, 0.6, surface=surface), arrays, {}), wanted, TEXEL)
+    expected_surface = Surface(0.2, 0.6, texel=(texel[0], texel[1], texel[2]))
+    return _against_formula(_scene(_material(0.2, 0.6, surface=surface), arrays, {}), expected_surface, TEXEL)
 
 
 def material_cases() -> list[Case]:

@@ -1,4 +1,4 @@
-"""Meshes as nobody would make them on purpose, and as they are found; textures whose every texel is known."""
+"""Meshes with defects that occur in practice, and textures whose every texel is known."""
 
 from collections.abc import Callable
 from functools import lru_cache
@@ -27,7 +27,7 @@ Triangles = tuple[Doubles, Longs]
 
 
 def as_obj(vertices: Doubles, faces: Longs) -> bytes:
-    """An OBJ file, with every digit of a float64."""
+    """Returns an OBJ file with every digit of a float64."""
     lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in vertices.tolist()]
     lines += [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in faces.tolist()]
     return "\n".join(lines).encode()
@@ -57,7 +57,7 @@ def _shown(parts: tuple[Part, ...], camera: dict[str, float] | None = None) -> t
 
 
 def _same(change: Callable[[Doubles, Longs], Triangles], kind: str = "obj", limit: float = SAME) -> Measured:
-    """The image of the changed mesh against that of the solid as it was."""
+    """Compares the image of the changed mesh with that of the original solid."""
     write = as_obj if kind == "obj" else as_stl
     faces = DEFAULTS.max_faces
     plain, changed = read_mesh(as_obj(*_solid()), "obj", faces), read_mesh(write(*change(*_solid())), kind, faces)
@@ -114,8 +114,8 @@ def _rounded(count: int) -> Measured:
     scene = placed(parts, size=(64, 64))
     seen = sound(scene)
     points = parts[0].vertices.astype(np.float64)
-    wanted = points / np.linalg.norm(points, axis=1, keepdims=True)
-    error = np.linalg.norm(parts[0].normals - wanted, axis=1)
+    reference = points / np.linalg.norm(points, axis=1, keepdims=True)
+    error = np.linalg.norm(parts[0].normals - reference, axis=1)
     need(float(seen.coverage.max()) == 1, "it is not seen")
     return Measured(float(error.max()), 2e-3, "largest distance of a vertex normal from the sphere's")
 
@@ -216,12 +216,12 @@ def decoded(values: "Bytes | list[int]") -> Doubles:
 
 
 def _seen(
-    parts: tuple[Part, ...], side: float, points: list[tuple[float, float]], wanted: Doubles, plain: bool = True
+    parts: tuple[Part, ...], side: float, points: list[tuple[float, float]], reference: Doubles, plain: bool = True
 ) -> Measured:
-    """The linear base colours `wanted` [N, 3] at points of the square, from (0, 0) at its upper left to (1, 1).
+    """The linear base colours `reference` [N, 3] at points of the square, from (0, 0) at its upper left to (1, 1).
 
-    In the G-buffer as they are; of a `plain` surface in pyrender's image under the sky alone, too (a file's surface is
-    shaded as glTF says, by another formula). Under a coloured factor, which counts.
+    They are compared under a coloured factor: with the G-buffer and, for a `plain` surface, with pyrender's image under
+    the sky alone too (a file's surface is shaded by glTF's formula, which differs).
     """
     factor = np.array([1.0, 0.6, 0.3])
     scene = placed(
@@ -235,7 +235,7 @@ def _seen(
     across = np.array(points) - 0.5
     # The pixel in which the point lies; the square's plane holds the origin.
     columns, rows = (SIZE / 2 + focal * side / scene.description.camera.distance * across).astype(int).T
-    colors = wanted * factor
+    colors = reference * factor
     gbuffer = rasterise(scene).base_color[rows, columns].double().numpy()
     worst = largest(gbuffer - colors)
     x, y = ((columns + 0.5) / SIZE * 2 - 1), (1 - (rows + 0.5) / SIZE * 2)
@@ -250,11 +250,11 @@ def _seen(
 
 
 def _quarters(repeats: int) -> Measured:
-    """The middle of each quarter of each repetition."""
+    """Compares the middle of each quarter of each repetition."""
     cells = 2 * repeats
     points = [((j + 0.5) / cells, (i + 0.5) / cells) for i in range(cells) for j in range(cells)]
-    wanted = decoded(np.tile(CORNERS, (repeats, repeats, 1)).reshape(-1, 3))
-    return _seen(square(0.8, quartered(), repeats), 0.8, points, wanted)
+    reference = decoded(np.tile(CORNERS, (repeats, repeats, 1)).reshape(-1, 3))
+    return _seen(square(0.8, quartered(), repeats), 0.8, points, reference)
 
 
 def _averaged() -> Measured:
@@ -272,7 +272,7 @@ def _averaged() -> Measured:
 
 
 def _holes() -> Measured:
-    """Where alpha is 0 the square is not there: its upper left quarter."""
+    """The square is invisible in its upper left quarter, whose alpha is 0."""
     texture = quartered()
     texture[:16, :16, 3] = 0
     scene = placed(square(0.8, texture), size=(SIZE, SIZE), camera={"azimuth": 0.0, "elevation": 0.0})

@@ -57,8 +57,8 @@ def _margin(margin: float, reach: bool = False) -> Measured:
     sign = -1.0 if reach else 1.0
     logits = torch.tensor([0.3, sign * margin, -0.7, -0.1, 0.0])
     goal = ResolvedGoal((), 1) if reach else ResolvedGoal((1,), None)
-    found, (wanted, remainder) = sign * _gradient(goal, logits).double(), _by_hand(logits, 1)
-    need(float(found[1]) == 1.0, f"the gradient of the label itself is {float(found[1]):.1e}")
+    gradient, (reference, remainder) = sign * _gradient(goal, logits).double(), _by_hand(logits, 1)
+    need(float(gradient[1]) == 1.0, f"the gradient of the label itself is {float(gradient[1]):.1e}")
     p = float(probability(logits[None], 1))
     if not reach and margin < 30:  # beyond, 1 − p is below float64's rounding of p
         need(abs((1 - p) / exp(remainder) - 1) < 1e-5, f"1 − p is {1 - p:.3e}")
@@ -68,7 +68,7 @@ def _margin(margin: float, reach: bool = False) -> Measured:
         f"the advantage is {advantage}",
     )
     need(not bool(goal.fooled(logits[None])), "it is fooled")
-    error = max(abs(a - b) for a, b in zip(found.tolist(), wanted, strict=True))
+    error = max(abs(a - b) for a, b in zip(gradient.tolist(), reference, strict=True))
     return Measured(error, ROUNDING, "error of the gradient by each score, against 60 digits")
 
 
@@ -91,7 +91,7 @@ def _perturbed(network: Classifier) -> Tensor:
 
 
 def _tied() -> Measured:
-    """Of two equal scores the first is the answer, and the gradient parts between them."""
+    """The first of two equal scores is the answer, and the gradient is shared between them."""
     logits = torch.tensor([-1.0, 2.5, 2.5, 0.0])
     need(not bool(ResolvedGoal((1,), None).fooled(logits[None])), "the first of two equals is not the answer")
     need(bool(ResolvedGoal((2,), None).fooled(logits[None])), "the second of two equals is the answer")
@@ -99,20 +99,20 @@ def _tied() -> Measured:
     need(float(ResolvedGoal((1,), None).advantage(logits[None])) == 0.0, "the advantage is not zero")
     batch = logits.repeat(33, 1)
     need(bool((ResolvedGoal((2,), None).fooled(batch)).all()), "the answer depends on the batch")
-    found = _gradient(ResolvedGoal((3,), None), logits).double()
-    need(float(found[1] - found[2]) == 0.0, "equal scores have different gradients")
-    wanted, _ = _by_hand(logits, 3)
-    error = max(abs(a - b) for a, b in zip(found.tolist(), wanted, strict=True))
+    gradient = _gradient(ResolvedGoal((3,), None), logits).double()
+    need(float(gradient[1] - gradient[2]) == 0.0, "equal scores have different gradients")
+    reference, _ = _by_hand(logits, 3)
+    error = max(abs(a - b) for a, b in zip(gradient.tolist(), reference, strict=True))
     return Measured(error, ROUNDING, "error of the gradient by each score, against 60 digits")
 
 
 def _all_tied() -> Measured:
     """A thousand equal scores."""
     logits = torch.full((1000,), 7.0)
-    found = _gradient(ResolvedGoal((0,), None), logits).double()
+    gradient = _gradient(ResolvedGoal((0,), None), logits).double()
     need(not bool(ResolvedGoal((0,), None).fooled(logits[None])), "the first of equals is not the answer")
     need(abs(float(probability(logits[None], 0)) - 1e-3) < 1e-12, "the probability is not 1/1000")
-    return Measured(largest(found[1:] + 1 / 999), 1e-8, "error of the gradient, closed form −1/999")
+    return Measured(largest(gradient[1:] + 1 / 999), 1e-8, "error of the gradient, closed form −1/999")
 
 
 def _two() -> Measured:
@@ -142,9 +142,9 @@ def _not_numbers(value: float) -> Measured:
 def _large() -> Measured:
     """Scores near the end of float32: sums of their exponentials stay in range."""
     logits = torch.tensor([1e38, -1e38, 0.0])
-    found = _gradient(ResolvedGoal((0,), None), logits).double()
+    gradient = _gradient(ResolvedGoal((0,), None), logits).double()
     need(bool(torch.isfinite(ResolvedGoal((0,), None).objective(logits[None])).all()), "the objective is not finite")
-    return Measured(largest(found - torch.tensor([1.0, 0.0, -1.0])), 0.0, "error of the gradient, closed form")
+    return Measured(largest(gradient - torch.tensor([1.0, 0.0, -1.0])), 0.0, "error of the gradient, closed form")
 
 
 def logit_cases() -> list[Case]:
@@ -179,34 +179,34 @@ def _parameters() -> Measured:
     short = {g: shading.renderer.initial()[g].to(torch.bfloat16) for g in shading.renderer.plan.groups}
     image = shading.renderer.render({g: v[None] for g, v in short.items()})
     need(image.dtype == torch.float32, f"the image is {image.dtype}")
-    found = shading.errors(short)
-    return found.within(shading.due, "largest error of a displayed value, against the definition of these numbers")
+    errors = shading.errors(short)
+    return errors.within(shading.due, "largest error of a displayed value, against the definition of these numbers")
 
 
 def _image() -> Measured:
     """An image in bfloat16 is saved as the 8 bits nearest to what it holds."""
     values = torch.linspace(0, 1, 4096).to(torch.bfloat16)
-    wanted = torch.from_numpy(np.rint(values.double().numpy() * 255) / 255)
+    reference = torch.from_numpy(np.rint(values.double().numpy() * 255) / 255)
     shown = ImageRenderer(values.reshape(64, 64, 1).expand(-1, -1, 3), "numbers").initial()["image"]
     need(shown.dtype == torch.float32, f"the image is {shown.dtype}")
-    return Measured(largest(as_saved(values).double() - wanted), 1e-7, "difference from rounding in float64")
+    return Measured(largest(as_saved(values).double() - reference), 1e-7, "difference from rounding in float64")
 
 
 def _curve() -> Measured:
     """The display curve, its inverse and its derivative by the standard's formula, in both types, ends included."""
     linear = np.concatenate([np.linspace(-0.5, 1.5, 4001), [0.0, 1.0, 0.0031308, 1e-7]])
-    wanted = displayed(linear)
+    reference = displayed(linear)
     worst = 0.0
     for dtype in (torch.float32, torch.float64):
-        given = torch.from_numpy(linear).to(dtype).requires_grad_(True)
-        shown = to_display(given)
-        (gradient,) = torch.autograd.grad(shown.sum(), given)
-        worst = max(worst, largest(shown.detach().double().numpy() - wanted))
+        values = torch.from_numpy(linear).to(dtype).requires_grad_(True)
+        shown = to_display(values)
+        (gradient,) = torch.autograd.grad(shown.sum(), values)
+        worst = max(worst, largest(shown.detach().double().numpy() - reference))
         inside = (linear > 1e-5) & (linear < 1 - 1e-5) & (np.abs(linear - 0.0031308) > 1e-5)
         steep = (displayed(linear[inside] + 1e-6) - displayed(linear[inside] - 1e-6)) / 2e-6
         worst = max(worst, 0.1 * largest(gradient.double().numpy()[inside] / steep - 1))
-        need(not bool(gradient[(given < 0) | (given > 1)].any()), "what is clipped has a gradient")
-    worst = max(worst, largest(to_linear(wanted) - np.clip(linear, 0, 1)))
+        need(not bool(gradient[(values < 0) | (values > 1)].any()), "what is clipped has a gradient")
+    worst = max(worst, largest(to_linear(reference) - np.clip(linear, 0, 1)))
     # Float32 has 1e-7, three times over; the standard's constants meet at the knee to 3e-8.
     return Measured(worst, 5e-7, "error of displayed and linear values, and a tenth of the gradient's relative one")
 
@@ -215,9 +215,9 @@ def _scores() -> Measured:
     """Log-odds of bfloat16 scores lose nothing more: sums of exponentials are not taken in bfloat16."""
     scores = torch.randn(20, 1000, generator=torch.Generator().manual_seed(4)).to(torch.bfloat16)
     goal = ResolvedGoal((7,), None)
-    wanted, found = goal.objective(scores.double()), goal.objective(scores)
+    reference, objective = goal.objective(scores.double()), goal.objective(scores)
     return Measured(
-        float((found.double() - wanted).abs().max() / wanted.abs().max()),
+        float((objective.double() - reference).abs().max() / reference.abs().max()),
         1e-6,
         "relative error of the log-odds, against float64",
     )

@@ -1,5 +1,5 @@
-"""What the cases are made of: glTF files written byte by byte from the specification and not by what reads them,
-objects of a few triangles whose every corner is known, and a linear network on a few pixels with the problem of
+"""Objects of the cases: glTF files written byte by byte from the specification, independently of the project's reader;
+objects of a few triangles whose every corner is known; and a linear network on a few pixels with the problem of
 attacking it.
 """
 
@@ -144,7 +144,7 @@ def linear_network(
 ) -> Classifier:
     """Scores that are linear in the pixels of an 8×8 image, times `scale`; the same weights every time.
 
-    The first label has `lead` more than that: so much that nothing that is shown can change the answer.
+    `lead` is added to the first label's score; with a large one no image can change the answer.
     """
     layer = nn.Linear(3 * SIDE * SIDE, classes).requires_grad_(False)
     random = torch.Generator().manual_seed(11)
@@ -172,7 +172,7 @@ def pixels() -> ImageRenderer:
 def linear_problem(
     renderer: Renderer, groups: tuple[str, ...] | None = None, lead: float = NEVER, **more: Any
 ) -> AttackProblem:
-    """To leave the first of the network's two labels; `groups` None: those it is compiled for."""
+    """The problem of leaving the first of the network's two labels. `groups` None: those that it is compiled for."""
     network = linear_network(classes=2, lead=lead)
     return AttackProblem.of(renderer, network, ResolvedGoal((0,), None), groups or renderer.plan.groups, **more)
 

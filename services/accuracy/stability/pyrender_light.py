@@ -36,7 +36,7 @@ def _renderer(mesh: str = "primitive/sphere", ambient: float = 0.4) -> PyrenderR
 
 
 def _lit(renderer: PyrenderRenderer, energy: float, position: tuple[float, float, float]) -> Tensor:
-    """The image with the light there; its energy in the group's unit of 30."""
+    """Returns the image with the light there; its energy is in the group's unit of 30."""
     light = renderer.initial()["illumination"].clone()
     light[1:] = torch.tensor([energy, *position], dtype=light.dtype)
     image = renderer.render({"illumination": light[None]})[0]
@@ -54,8 +54,8 @@ def _light_inside(position: tuple[float, float, float]) -> Measured:
     shone = _lit(renderer, 1.0, (0, 0, 3)) - _lit(renderer, 0.0, (0, 0, 3))
     need(bool(inner.any()) and largest(shone) > 0.1, "the light does nothing outside either")
     differs = torch.zeros(renderer.size)
-    for one in (renderer, renderer.exact()):
-        differs = differs.maximum((_lit(one, 100.0, position) - _lit(one, 0.0, position)).abs().amax(dim=-1))
+    for variant in (renderer, renderer.exact()):
+        differs = differs.maximum((_lit(variant, 100.0, position) - _lit(variant, 0.0, position)).abs().amax(dim=-1))
     outline = float((differs[~inner] > 0).sum() / inner.sum())
     need(outline < 0.01, f"light leaks on the outline, at {outline:.1%} of the object's pixels")
     what = f"largest difference from the image without the light, within the outline; on it {outline:.1%} leak"
@@ -63,7 +63,7 @@ def _light_inside(position: tuple[float, float, float]) -> Measured:
 
 
 def _opposite() -> Measured:
-    """Behind a square seen from the front, exactly on the view axis: light and view are opposite, half-way nowhere."""
+    """A light behind a square, exactly on the view axis: light and view are opposite, and have no half vector."""
     renderer = _renderer("primitive/plane")
     lit, dark = _lit(renderer, 100.0, (0, 0, -2.0)), _lit(renderer, 0.0, (0, 0, -2.0))
     return Measured(largest(lit - dark), 0.0, "largest difference from the image without the light")
@@ -79,9 +79,9 @@ def _on() -> Measured:
 def _against_formula(
     mesh: str | tuple[Part, ...], lamps: Lamps, thing: dict[str, Any] | None = None, spread: float = 1.0
 ) -> Measured:
-    """Radiance and displayed values under any light, where the surface is flat, against their formula.
+    """Compares radiance and displayed values under any light, where the surface is flat, with their formula.
 
-    `spread`: by how much the relative rounding of what is measured exceeds that of a few float32 products.
+    `spread`: ratio of the measured value's relative rounding to that of a few float32 products.
     """
     lights = {
         "points": [{}] * len(lamps.points),
@@ -89,9 +89,9 @@ def _against_formula(
         "spots": [{"inner_angle": inner, "outer_angle": outer} for inner, outer in lamps.spots[:, 7:]],
     }
     scene = placed(mesh, size=(33, 33), camera={"azimuth": 0.4, "elevation": 0.3}, thing=thing, lights=lights)
-    wanted = expected(scene, lamps)
-    need(len(wanted.pixels) > 100, f"only {len(wanted.pixels)} pixels are flat")
-    brightest = float(wanted.radiance.max())
+    reference = expected(scene, lamps)
+    need(len(reference.pixels) > 100, f"only {len(reference.pixels)} pixels are flat")
+    brightest = float(reference.radiance.max())
     need(brightest > 0, "the light does nothing by its formula")
     renderer = PyrenderRenderer(scene)
     coordinates = [kind.copy() for kind in (lamps.points, lamps.suns, lamps.spots[:, :7])]
@@ -100,12 +100,14 @@ def _against_formula(
     values = [lamps.ambient, *(value for kind in coordinates for value in kind.ravel())]
     light = torch.tensor([values], dtype=torch.float64)
     worst = 0.0
-    for one in (renderer, renderer.exact()):
-        radiance = one.radiance({"illumination": light})[0].reshape(-1, 4)[wanted.pixels, :3].double().numpy()
-        shown = one.render({"illumination": light})[0].reshape(-1, 3)[wanted.pixels].double().numpy()
-        worst = max(worst, largest(radiance - wanted.radiance) / brightest)
-        worst = max(worst, largest(shown - wanted.shown))
-    what = f"largest error of radiance (relative to the brightest) and of displayed values; {len(wanted.pixels)} pixels"
+    for variant in (renderer, renderer.exact()):
+        radiance = variant.radiance({"illumination": light})[0].reshape(-1, 4)[reference.pixels, :3].double().numpy()
+        shown = variant.render({"illumination": light})[0].reshape(-1, 3)[reference.pixels].double().numpy()
+        worst = max(worst, largest(radiance - reference.radiance) / brightest)
+        worst = max(worst, largest(shown - reference.shown))
+    what = (
+        f"largest error of radiance (relative to the brightest) and of displayed values; {len(reference.pixels)} pixels"
+    )
     return Measured(worst, spread * FORMULA, what)
 
 
@@ -117,11 +119,13 @@ def _touching() -> Measured:
     scene = placed("primitive/plane", size=(33, 33), camera=FRONT)
     light = [30.0, 0.0, 0.0, 1e-4]
     pixels = (33 * np.arange(10, 23)[:, None] + np.arange(10, 13)).ravel()
-    wanted = expected(scene, Lamps(0.0, np.array([light])), pixels)
-    need(len(wanted.pixels) == len(pixels), "a pixel is not flat")
-    given = torch.tensor([[0.0, 1.0, *light[1:]]], dtype=torch.float64)
-    found = renderer.radiance({"illumination": given})[0].reshape(-1, 4)[wanted.pixels, :3].double().numpy()
-    error = largest(found / wanted.radiance - 1)
+    reference = expected(scene, Lamps(0.0, np.array([light])), pixels)
+    need(len(reference.pixels) == len(pixels), "a pixel is not flat")
+    illumination = torch.tensor([[0.0, 1.0, *light[1:]]], dtype=torch.float64)
+    radiance = (
+        renderer.radiance({"illumination": illumination})[0].reshape(-1, 4)[reference.pixels, :3].double().numpy()
+    )
+    error = largest(radiance / reference.radiance - 1)
     return Measured(error, 5 * FORMULA, "relative error of radiance, against the formula; the square lies in z = 0")
 
 
@@ -139,9 +143,9 @@ def _falls_off() -> Measured:
     worst = 0.0
     for energy, distance in ((1.0, 0.5), (4.0, 1.0), (16.0, 2.0), (1.0, 3.0)):
         light = torch.tensor([[0.0, energy / 30, 0.0, 0.0, distance]], dtype=torch.float64)
-        found = renderer.radiance({"illumination": light})[0, 16, 16, :3].double()
-        wanted = energy / distance**2 * (1 / pi + 0.04 / (4 * pi * 0.45**4))
-        worst = max(worst, largest(found / wanted - 1))
+        radiance = renderer.radiance({"illumination": light})[0, 16, 16, :3].double()
+        reference = energy / distance**2 * (1 / pi + 0.04 / (4 * pi * 0.45**4))
+        worst = max(worst, largest(radiance / reference - 1))
     return Measured(worst, FORMULA, "relative error of the middle's radiance at distances of 0.5 to 3, closed form")
 
 
@@ -150,26 +154,26 @@ def _sky(up: float) -> Measured:
     camera = {"azimuth": 0.0, "elevation": up}
     scene = placed("primitive/plane", size=(33, 33), camera=camera, thing={"rotation": (-up, 0.0, 0.0)})
     dark = torch.tensor([[0.7, 0.0, 0.0, 0.0, 3.0]], dtype=torch.float64)
-    found = PyrenderRenderer(scene).radiance({"illumination": dark})[0, 16, 16, :3].double()
-    wanted = 0.7 * (1 + sin(up) / 3 + 0.04)
-    return Measured(largest(found - wanted), FORMULA, "error of the middle's radiance, closed form")
+    radiance = PyrenderRenderer(scene).radiance({"illumination": dark})[0, 16, 16, :3].double()
+    reference = 0.7 * (1 + sin(up) / 3 + 0.04)
+    return Measured(largest(radiance - reference), FORMULA, "error of the middle's radiance, closed form")
 
 
 def _linear() -> Measured:
     """Radiance is linear in the light's energy from 1e-30 to 1e6, and at 30 it is that of the formula."""
     scene = placed("primitive/plane", size=(33, 33), camera=FRONT)
-    wanted = expected(scene, Lamps(0.0, np.array([[30.0, 1.0, 1.0, 3.0]])))
+    reference = expected(scene, Lamps(0.0, np.array([[30.0, 1.0, 1.0, 3.0]])))
     renderer = _renderer("primitive/plane", ambient=0.0)
     worst = 0.0
     for energy in (1e-30, 1e6, 1.0):
         light = torch.tensor([[0.0, energy, 1.0, 1.0, 3.0]], dtype=torch.float64)
-        found = renderer.radiance({"illumination": light})[0].reshape(-1, 4)[wanted.pixels, :3].double().numpy()
-        worst = max(worst, largest(found / energy / wanted.radiance - 1))
+        radiance = renderer.radiance({"illumination": light})[0].reshape(-1, 4)[reference.pixels, :3].double().numpy()
+        worst = max(worst, largest(radiance / energy / reference.radiance - 1))
     return Measured(worst, FORMULA, "relative error of radiance per energy, against the formula")
 
 
 def _strong() -> Measured:
-    """Far too strong: white where it shines, and the same white for ten times as much."""
+    """A light that is far too strong makes its surface white, and one of ten times its energy the same white."""
     renderer = _renderer()
     first, second = _lit(renderer, 1e6, (0, 0, 3)), _lit(renderer, 1e7, (0, 0, 3))
     need(bool((first[16, 16] > 1 - 1e-6).all()), "the middle is not white")
@@ -287,18 +291,20 @@ def _beside(points: Doubles, towards: Doubles, centre: Place) -> Doubles:
 
 
 def _passing(scene: ResolvedScene, moved: dict[str, torch.Tensor] | None = None) -> Doubles:
-    """The share of the light that each pixel sees [H, W]: with shadows over without; 1 where there is none without."""
+    """Share of the light that reaches each pixel [H, W]: radiance with shadows over that without; 1 where it is 0."""
     plain = replace(scene, description=scene.description.model_copy(update={"shadows": None}))
     shaded, lit = (
-        PyrenderRenderer(one, tolerance="exact").radiance(moved or {})[0, ..., 0].double().numpy()
-        for one in (scene, plain)
+        PyrenderRenderer(variant, tolerance="exact").radiance(moved or {})[0, ..., 0].double().numpy()
+        for variant in (scene, plain)
     )
     return np.where(lit > 0, shaded / np.where(lit > 0, lit, 1.0), 1.0)
 
 
 def _balls(balls: Sequence[tuple[Place, float]], place: Place, move: float = 0.0, least: int = 40) -> Measured:
-    """The share of the ground's pixels whose light is not all or nothing, as the balls' outlines say. `move`: how far
-    the first ball is moved along x when it is drawn, from where it stands in the scene."""
+    """Share of the ground's pixels that are not wholly lit or dark as the balls' outlines require.
+
+    `move`: displacement of the first ball along x when it is drawn, relative to its position in the scene.
+    """
     scene = _scene(balls, (1.0, 2.0, 1.0), HARD)
     start = PyrenderRenderer(scene, tolerance="exact").initial()
     moved = {"translation": start["translation"][None], "illumination": start["illumination"][None]}
@@ -317,7 +323,7 @@ def _balls(balls: Sequence[tuple[Place, float]], place: Place, move: float = 0.0
 
 
 def _shadow_inside() -> Measured:
-    """Of a light inside a closed object nothing reaches the ground."""
+    """No light from inside a closed object reaches the ground."""
     scene = _scene([((0.0, 0.6, 0.0), 0.4)], (0.0, 0.6, 0.1), {"resolution": 512})
     points, clear = _ground(scene, [((0.0, 0.6, 0.0), 0.4)])
     seen = _passing(scene)[clear & (np.abs(points[..., 0]) < 1.5)]
@@ -326,18 +332,18 @@ def _shadow_inside() -> Measured:
 
 
 def _nothing(place: Place) -> Measured:
-    """The ground alone has the bits that it has without shadows."""
+    """The image of the ground alone is the same to the bit as without shadows."""
     return Measured(largest(_passing(_scene([], place, {})) - 1), 0.0, "largest change of the light's share")
 
 
 def _alone() -> Measured:
     """A ball in the air, seen from its lit side: its triangles shadow neither themselves nor their neighbours."""
     scene = _scene([((0.0, 1.0, 0.0), 0.6)], (1.0, 5.0, 2.0), {"softness": 0.0})
-    one = replace(scene, meshes=scene.meshes[1:], models=scene.models[1:])
+    alone = replace(scene, meshes=scene.meshes[1:], models=scene.models[1:])
     own = scene.description.model_copy(update={"objects": scene.description.objects[1:]})
-    one = replace(one, description=own)
+    alone = replace(alone, description=own)
     with_and_without = [
-        PyrenderRenderer(replace(one, description=own.model_copy(update={"shadows": shadows})), tolerance="exact")
+        PyrenderRenderer(replace(alone, description=own.model_copy(update={"shadows": shadows})), tolerance="exact")
         for shadows in (own.shadows, None)
     ]
     images = [renderer.render({})[0] for renderer in with_and_without]
@@ -352,11 +358,11 @@ def _texels() -> Measured:
     gbuffer = rasterise(scene)
     points, clear = _ground(scene, balls)
     pixels = torch.from_numpy(clear.ravel()).nonzero()[:, 0]
-    found = visibility(scene, gbuffer.at(pixels))
-    assert found is not None
+    visible = visibility(scene, gbuffer.at(pixels))
+    assert visible is not None
     points = points.reshape(-1, 3)[clear.ravel()]
     wrong = hidden = compared = 0
-    for seen, way in zip(found.numpy(), directions(16, 32).numpy(), strict=True):
+    for seen, way in zip(visible.numpy(), directions(16, 32).numpy(), strict=True):
         if way[1] <= 0:
             continue
         off = _beside(points, np.broadcast_to(100 * way, points.shape), balls[0][0]) - balls[0][1]

@@ -4,7 +4,7 @@ services.rendering.
 `linear` and its parts: the torch renderer's shading sum, in world space where the renderer works in the camera's,
 without bounds on exponents (what overflows is infinitely bright, and displayed as 1), every direction and lobe at once.
 
-Rays: what a ray through each sample of a pixel meets, for both rasterisers.
+Rays: the surface that a ray through each sample of a pixel meets, for both rasterisers.
 
 Lamps: the pyrender renderer's Lambertian body under a rough dielectric coat, in the textbooks' own form: the GGX
 distribution (Walter et al. 2007, equation 33), Smith's height-correlated shadowing from its Λ (Heitz 2014, equation
@@ -31,7 +31,7 @@ UNCOLORED = {"plastic": (1, 2), "glossy-paint": (1, 2)}
 """Lobes of dielectrics' gloss by preset: the mesh's colour does not multiply what they reflect."""
 
 COSINE_FLOOR = 1e-4
-"""The lowest n·h that a lobe sees."""
+"""Lower bound of n·h in a lobe."""
 
 
 def texels(rows: int, cols: int) -> tuple[Doubles, Doubles]:
@@ -121,7 +121,7 @@ def vectors(angles: Doubles, view: Doubles) -> Doubles:
 Bools = NDArray[np.bool_]
 
 NEAREST = 0.01
-"""Nothing closer to the camera than this is seen, scene units."""
+"""Distance from the camera below which nothing is visible, scene units."""
 
 RAYS_AT_ONCE = 2**22
 """Rays times triangles held at a time."""
@@ -129,7 +129,7 @@ RAYS_AT_ONCE = 2**22
 
 @dataclass(frozen=True)
 class Hits:
-    """What P pixels show at S samples each. What the first four hold means nothing where `depth` is infinite.
+    """The surfaces behind P pixels at S samples each. The first four fields are undefined where `depth` is infinite.
 
     positions [P, S, 3] and unit normals [P, S, 3] (interpolated, on the viewer's side), world space; colors [P, S, 3],
     linear, without textures; planes [P, S, 3], the unit normals of the flat triangles; depth [P, S] along the view.
@@ -161,7 +161,7 @@ class Hits:
 def cast(scene: ResolvedScene, samples: int, pixels: Longs | None = None) -> Hits:
     """Rays through `samples` × `samples` points of each pixel (None: all, row by row), for opaque objects.
 
-    Each triangle by its definition (Möller and Trumbore 1997), both sides, from NEAREST on.
+    Triangles are intersected by definition (Möller and Trumbore 1997), from both sides, at NEAREST or farther.
     """
     height, width = scene.description.camera.size
     pixels = np.arange(height * width) if pixels is None else pixels
@@ -284,12 +284,12 @@ class Lamps:
 
 
 Shading = Callable[[Doubles, Doubles, Doubles, Doubles, Lamps], Doubles]
-"""A function as `radiance`."""
+"""A function with the signature of `radiance`."""
 
 
 @dataclass(frozen=True)
 class Expected:
-    """What some pixels of an image show by definition: radiance [P, 3], and `shown` [P, 3], the displayed values.
+    """The values of some pixels of an image by definition: `radiance` [P, 3], and `shown` [P, 3], the displayed values.
 
     `pixels` [P] are those that lie wholly in one plane of an object: there one point stands for the pixel.
     """
@@ -302,8 +302,8 @@ class Expected:
 def expected(
     scene: ResolvedScene, lamps: Lamps | None = None, pixels: Longs | None = None, shading: Shading | None = None
 ) -> Expected:
-    """The image by its definition, of `pixels` (None: all). `lamps`: None for the scene's own; `shading`: of the
-    surface, None for the coated body."""
+    """Computes `pixels` (None: all) of the image by its definition. `lamps`: None for the scene's own; `shading` of the
+    surface: None for the coated body."""
     height, width = scene.description.camera.size
     pixels = np.arange(height * width) if pixels is None else pixels
     pixels = pixels[cast(scene, 4, pixels).coplanar]
@@ -424,8 +424,8 @@ class Surface:
             # Each side's shadowing over its cosine, which cancels the cosine of the microfacet formula.
             shadowing = 1 / (seen * (1 - k) + k) / (lit * (1 - k) + k)
             if self.given:
-                tangents = [np.sqrt(1 / np.maximum(one, 1e-9) ** 2 - 1) for one in (seen, lit)]
-                beneath = sum((np.sqrt(1 + (alpha * one) ** 2) - 1) / 2 for one in tangents)
+                tangents = [np.sqrt(1 / np.maximum(cos, 1e-9) ** 2 - 1) for cos in (seen, lit)]
+                beneath = sum((np.sqrt(1 + (alpha * tangent) ** 2) - 1) / 2 for tangent in tangents)
                 shadowing = 1 / (1 + beneath) / (seen * np.maximum(lit, 1e-9))
             fresnel = f0 + (1 - f0) * (1 - _cosine(to_eye, half)) ** 5
             total = total + facing_it * lit * ((1 - fresnel) * body / pi + fresnel * distribution * shadowing / 4)

@@ -1,4 +1,4 @@
-"""All stiff and extreme cases, one after another, and what they came to, as a page and as data."""
+"""All stiff and extreme cases, one after another, and their results, as a page and as data."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -44,8 +44,8 @@ FAMILIES: dict[str, Callable[[], list[Case]]] = {
 
 def cases(quick: bool = False) -> list[Case]:
     """Every case, in the order of the report; with `quick` those that take a second or two at most."""
-    found = [replace(case, family=name) for name, family in FAMILIES.items() for case in family()]
-    return [case for case in found if not (quick and case.slow)]
+    all_cases = [replace(case, family=name) for name, family in FAMILIES.items() for case in family()]
+    return [case for case in all_cases if not (quick and case.slow)]
 
 
 def run(chosen: Sequence[Case], on_case: Callable[[Case], None] = lambda _: None) -> list[Observation]:
@@ -67,7 +67,7 @@ WORDS = {
 
 
 class Report(BaseModel):
-    """Everything that `stability.json` says."""
+    """The contents of `stability.json`."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -80,12 +80,12 @@ class Report(BaseModel):
 
     @property
     def failed(self) -> list[Observation]:
-        """The cases that must not be."""
+        """The cases that failed."""
         return [row for row in self.cases if row.outcome == "failed"]
 
 
 def report(observations: Sequence[Observation], command: str) -> Report:
-    """The observations with what is needed to make them again."""
+    """Returns the observations with the data needed to reproduce them."""
     return Report(
         command=command,
         seed="each case has its own, in its code",
@@ -133,7 +133,7 @@ COLUMNS: dict[str, Callable[[Observation], str]] = {
 
 
 def write(found: Report, folder: Path) -> None:
-    """`stability.md` and `stability.json` in the folder, which is made if need be."""
+    """Writes `stability.md` and `stability.json` into the folder, which is created if necessary."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "stability.json").write_text(found.model_dump_json(indent=1) + "\n", "utf-8")
     (folder / "stability.md").write_text(markdown(found), "utf-8")

@@ -26,9 +26,9 @@ LAMBERTIAN = of_one_lobe(float(np.log1p(1 / pi)), 1e-3)
 
 def _image_under(map_: Floats, kappa: float = 0.3, gamma: float = 1.0, clipped: bool = False) -> Measured:
     shading = Shading.of(placed(radiance=map_, size=TABLES))
-    found = shading.errors({"material": of_one_lobe(kappa, gamma)})
-    need(not clipped or found.clipped > 0, "nothing is beyond white by the definition")
-    return found.within(
+    errors = shading.errors({"material": of_one_lobe(kappa, gamma)})
+    need(not clipped or errors.clipped > 0, "nothing is beyond white by the definition")
+    return errors.within(
         SHARP if gamma >= 1e3 else shading.due, "largest error of a displayed value, against the definition in float64"
     )
 
@@ -53,8 +53,8 @@ def _constant() -> Measured:
     with torch.no_grad():
         image = shading.renderer.render({"material": LAMBERTIAN[None]})[0]
     seen = image[shading.gbuffer.coverage == 1].double().numpy()
-    wanted = float(references.displayed(np.array([0.9]))[0])
-    return Measured(largest(seen - wanted), 0.01, "distance from the displayed value of 0.9, closed form")
+    reference = float(references.displayed(np.array([0.9]))[0])
+    return Measured(largest(seen - reference), 0.01, "distance from the displayed value of 0.9, closed form")
 
 
 def _scale(factor: float) -> Measured:
@@ -62,9 +62,9 @@ def _scale(factor: float) -> Measured:
     scaled = (sky().astype(np.float64) * factor).astype(np.float32)
     need(bool((scaled >= np.finfo(np.float32).tiny).all() and np.isfinite(scaled).all()), "float32 does not hold it")
     shading = Shading.of(placed(radiance=scaled))
-    found = shading.errors({})
-    need(found.clipped == 0, "it is beyond white")
-    return found.within(shading.due, "largest error of a displayed value, against the definition in float64")
+    errors = shading.errors({})
+    need(errors.clipped == 0, "it is beyond white")
+    return errors.within(shading.due, "largest error of a displayed value, against the definition in float64")
 
 
 def _from_file(row: int, column: int) -> Measured:
@@ -79,29 +79,29 @@ def _from_file(row: int, column: int) -> Measured:
     light = np.array([np.sin(theta) * np.sin(phi), np.cos(theta), np.sin(theta) * np.cos(phi)])
     scene = placed(radiance=average(radiance_of(image), 16, 32), size=(32, 32), camera={"azimuth": -0.4})
     normals, full = of_sphere(scene, FIT_RADIUS)
-    wanted = references.displayed(0.9 * np.maximum(normals @ light, 0.0))
-    need(0.2 < float((wanted > 0).mean()) < 1 and float(wanted.max()) > 0.5, "too little is lit, or all")
+    reference = references.displayed(0.9 * np.maximum(normals @ light, 0.0))
+    need(0.2 < float((reference > 0).mean()) < 1 and float(reference.max()) > 0.5, "too little is lit, or all")
     renderer = build(scene, "torch")
     worst = 0.0
-    for one in (renderer, renderer.exact()):
+    for variant in (renderer, renderer.exact()):
         with torch.no_grad():
-            shown = one.render({"material": LAMBERTIAN[None]})[0].reshape(-1, 3)[full].double().numpy()
-        worst = max(worst, float(np.abs(shown - wanted[:, None])[wanted > 0.1].max()))
-        need(float(shown[wanted == 0].max()) < 0.1, "what faces away is lit")
+            shown = variant.render({"material": LAMBERTIAN[None]})[0].reshape(-1, 3)[full].double().numpy()
+        worst = max(worst, float(np.abs(shown - reference[:, None])[reference > 0.1].max()))
+        need(float(shown[reference == 0].max()) < 0.1, "what faces away is lit")
     # γ = 1e-3 takes up to 1 % of the radiance, which is half of that on display; and a pixel's normals are averaged.
     return Measured(worst, 5e-3, "largest error of a displayed value where it is above 0.1, closed form")
 
 
 def _cleaned(texel: float) -> Measured:
-    """What a file's pixels become."""
+    """A damaged texel of a file becomes 0, and no other texel changes."""
     image = sky(16, 32)
     image[3, 5] = texel
     clean = radiance_of(image)
     need(bool(np.isfinite(clean).all()), "it has texels that are not finite")
-    wanted = image.copy()
-    wanted[3, 5] = 0
+    reference = image.copy()
+    reference[3, 5] = 0
     need(bool((clean >= 0).all()), "it has negative texels")
-    return Measured(largest(clean - from_image(wanted)), 0.0, "change of any other texel; this one is 0")
+    return Measured(largest(clean - from_image(reference)), 0.0, "change of any other texel; this one is 0")
 
 
 def _large(height: int, width: int) -> Measured:
@@ -118,7 +118,7 @@ def _large(height: int, width: int) -> Measured:
 
 
 def _block_means(large: Floats, rows: int, cols: int) -> Doubles:
-    """Means over whole blocks, each row by its solid angle; for sizes that divide."""
+    """Means over whole blocks, rows weighted by solid angle. The sizes must divide."""
     height, width = large.shape[0] // rows, large.shape[1] // cols
     weight = np.sin((np.arange(large.shape[0]) + 0.5) * pi / large.shape[0])
     out = np.empty((rows, cols, 3))
@@ -158,8 +158,8 @@ def _turned(steps: int, exact: bool = True) -> Measured:
 def _one_texel() -> Measured:
     """A map of one texel is one direction, −z, for the renderer: the shading that is defined so."""
     shading = Shading.of(placed(radiance=np.ones((1, 1, 3), np.float32), camera={"azimuth": 2.0}))
-    found = shading.errors({"material": of_one_lobe(0.3, 1.0)})
-    return found.within(shading.due, "largest error of a displayed value, against the definition in float64")
+    errors = shading.errors({"material": of_one_lobe(0.3, 1.0)})
+    return errors.within(shading.due, "largest error of a displayed value, against the definition in float64")
 
 
 def _opposite() -> Measured:
@@ -169,10 +169,10 @@ def _opposite() -> Measured:
     need(bool(np.allclose(references.texels(1, 1)[0][0], -scene.view[:3, 2])), "the light is not opposite the viewer")
     turned = torch.tensor([pi - 0.1, pi / 2 + 0.1]).expand(*shading.renderer.size, 2).contiguous()
     parameters = {"material": of_one_lobe(0.02, 0.01), "normals": turned}
-    found = shading.errors(parameters)
+    errors = shading.errors(parameters)
     gradient, _ = shading.gradient(parameters, "normals")
     need(largest(gradient) > 0, "no normal has a gradient")
-    return found.within(shading.due, "largest error of a displayed value, against the definition in float64")
+    return errors.within(shading.due, "largest error of a displayed value, against the definition in float64")
 
 
 def environment_cases() -> list[Case]:
@@ -261,14 +261,15 @@ def _planned_image(radiance: Floats, group: str, moved: bool, tolerance: Toleran
     shading = _compiled(radiance, group, tolerance)
     plan = shading.renderer.plan
     need(plan.groups == (group,), f"the plan is for {plan.groups}")
-    found = shading.errors(_attacked(shading, group) if moved else {})
-    need(found.exact <= EXACT, f"the exact image is off by {found.exact:.1e}")
+    errors = shading.errors(_attacked(shading, group) if moved else {})
+    need(errors.exact <= EXACT, f"the exact image is off by {errors.exact:.1e}")
     need(
-        moved or found.loop <= plan.error + EXACT, f"an error of {found.loop:.1e} where the plan says {plan.error:.1e}"
+        moved or errors.loop <= plan.error + EXACT,
+        f"an error of {errors.loop:.1e} where the plan says {plan.error:.1e}",
     )
     limit = EXACT if tolerance == "exact" else tolerance
     return Measured(
-        found.loop, limit, f"largest error of a displayed value; the plan says {plan.error:.0e} at the start"
+        errors.loop, limit, f"largest error of a displayed value; the plan says {plan.error:.0e} at the start"
     )
 
 
@@ -297,8 +298,10 @@ def _look_up() -> Measured:
         value = np.exp(_unit(azimuth, polar) @ a)
         along = np.stack([np.sin(polar) * np.cos(azimuth), 0 * polar, -np.sin(polar) * np.sin(azimuth)], axis=1)
         down = np.stack([np.cos(polar) * np.sin(azimuth), -np.sin(polar), np.cos(polar) * np.cos(azimuth)], axis=1)
-        wanted = np.stack([value * (along @ a), value * (down @ a)], axis=1)
-        errors.append((np.abs(seen.detach().numpy() - value[:, None]).max(), np.abs(gradient.numpy() - wanted).max()))
+        reference = np.stack([value * (along @ a), value * (down @ a)], axis=1)
+        errors.append(
+            (np.abs(seen.detach().numpy() - value[:, None]).max(), np.abs(gradient.numpy() - reference).max())
+        )
     orders = np.log2(np.array(errors[0]) / errors[1])
     need(orders[0] > 2.7 and orders[1] > 1.7, f"the orders are {orders[0]:.1f} and {orders[1]:.1f}")
     # h³ and h² of h = π / 64, with third derivatives of up to 3.
@@ -324,11 +327,11 @@ def _signs() -> Measured:
     covered = (exact.gbuffer.coverage > 0)[..., None].expand(-1, -1, 2)
     error = exact.gradient_error({}, "normals", 1e-5, covered)
     need(error <= EXACT, f"the exact gradient is off by {error:.1e} from differences of the definition")
-    found, wanted = (shading.gradient({}, "normals")[0] for shading in (loop, exact))
-    aligned = float(torch.cosine_similarity(found.flatten(), wanted.flatten(), dim=0))
+    gradient, reference = (shading.gradient({}, "normals")[0] for shading in (loop, exact))
+    aligned = float(torch.cosine_similarity(gradient.flatten(), reference.flatten(), dim=0))
     need(aligned > 0.99, f"the cosine of the gradient to the exact one is {aligned:.4f}")
     # A step by signs gains Σ|gradient| where all are right, and loses 2|gradient| for each that is wrong.
-    lost = float(2 * wanted[found.sign() != wanted.sign()].abs().sum() / wanted.abs().sum())
+    lost = float(2 * reference[gradient.sign() != reference.sign()].abs().sum() / reference.abs().sum())
     return Measured(lost, LOST, f"share of a signed step's gain lost to wrong signs; the cosine is {aligned:.4f}")
 
 
@@ -348,7 +351,7 @@ def plan_cases() -> list[Case]:
     """The cases of this family."""
     same = "within the tolerance; at the start within the plan's estimate"
     gradient = "the gradient is that of the definition"
-    found = []
+    cases = []
     for group, word, map_, what in (
         # A plan sums a strong texel beside its table, so that light which the table holds has to be broad.
         ("normals", "broad sun", broad_sun(), "a hundred bright texels, in the table"),
@@ -357,10 +360,10 @@ def plan_cases() -> list[Case]:
         ("material", "broad sun", broad_sun(), "a hundred bright texels, in the table"),
     ):
         own, far = partial(_planned_image, map_, group, False), partial(_planned_image, map_, group, True)
-        found.append(Case(f"{group} only, {word}", what, same, own))
-        found.append(Case(f"{group} only, moved far", "what the plan was not made for", same, far))
+        cases.append(Case(f"{group} only, {word}", what, same, own))
+        cases.append(Case(f"{group} only, moved far", "what the plan was not made for", same, far))
     return [
-        *found,
+        *cases,
         Case("table of a known function", "cells of 3°, poles", "third order, by its closed form", _look_up),
         Case("normals only, gradient", "128 edges under a smooth table", "the signs that FGSM goes by", _signs),
         *(

@@ -28,12 +28,12 @@ LOOP = DEFAULT_TOLERANCE
 """Error of a displayed value that the loop's images may have."""
 
 SUMMED = 5e-6
-"""The same of a plan that sums every direction at every pixel: sums of positive float32 terms keep 1e-6 of themselves,
-and near black the display curve multiplies by up to 12.9."""
+"""The same error for a plan that sums every direction at every pixel: sums of positive float32 terms have a relative
+error of 1e-6, and near black the display curve multiplies it by up to 12.9."""
 
 SHARP = 2e-5
-"""The same under lobes of γ ≥ 1e3: float32 has 5e-7 of log γ, so that much of the exponent γ log n·h is unknown, and
-the exponent's own exponential is steep."""
+"""The same error under lobes of γ ≥ 1e3: float32 has 5e-7 of log γ, so that much of the exponent γ log n·h is unknown,
+and the exponent's own exponential is steep."""
 
 EXACT = 1e-6
 """Error of a displayed value that exact images may have: float64, but normals and base colours are float32."""
@@ -128,8 +128,8 @@ class Shading:
         shown = images[1].sum(dim=1).where(self.gbuffer.coverage.flatten() > 0, -torch.inf)
         brightest = shown.topk(min(BRIGHTEST, len(self.pixels))).indices
         pixels = torch.unique(torch.cat([self.pixels, brightest]))
-        wanted, shaded = replace(self, pixels=pixels).defined(parameters)
-        loop, exact = (largest(image[pixels].numpy() - wanted) for image in images)
+        reference, shaded = replace(self, pixels=pixels).defined(parameters)
+        loop, exact = (largest(image[pixels].numpy() - reference) for image in images)
         return Errors(loop, exact, float((shaded > 1).any(axis=1).mean()))
 
     def gradient(self, parameters: Parameters, group: str) -> tuple[Tensor, Tensor]:
@@ -157,10 +157,10 @@ class Shading:
             sides = [
                 self.defined(start | {group: start[group] + sign * step * direction})[0].ravel() for sign in (1, -1)
             ]
-            wanted = float(weights.flatten().numpy() @ (sides[0] - sides[1])) / (2 * step)
-            found = float((gradient * direction).sum())
-            scale = max(abs(wanted), float((gradient * (direction != 0)).norm()), 1e-12)
-            worst = max(worst, abs(found - wanted) / scale)
+            reference = float(weights.flatten().numpy() @ (sides[0] - sides[1])) / (2 * step)
+            derivative = float((gradient * direction).sum())
+            scale = max(abs(reference), float((gradient * (direction != 0)).norm()), 1e-12)
+            worst = max(worst, abs(derivative - reference) / scale)
         return worst
 
     def _all(self, parameters: Parameters) -> Parameters:
@@ -178,18 +178,20 @@ def of_one_lobe(kappa: float, gamma: float) -> Tensor:
 def _lobe_image(
     kappa: float, gamma: float, white: tuple[float, float] = (0.0, 0.0), map_: Floats | None = None
 ) -> Measured:
-    """Under a map (None: a coloured sky). `white`: the least and the largest share of pixels held at white."""
+    """Compares an image under a map (None: a coloured sky). `white`: limits on the share of pixels clipped at white."""
     shading = Shading.of(placed(radiance=sky() if map_ is None else map_, size=TABLES))
-    found = shading.errors({"material": of_one_lobe(kappa, gamma)})
-    need(white[0] <= found.clipped <= white[1], f"{found.clipped:.0%} of the pixels are beyond white by the definition")
-    shown = f"; {found.clipped:.0%} of the pixels looked at held at white" if white[1] else ""
+    errors = shading.errors({"material": of_one_lobe(kappa, gamma)})
+    need(
+        white[0] <= errors.clipped <= white[1], f"{errors.clipped:.0%} of the pixels are beyond white by the definition"
+    )
+    shown = f"; {errors.clipped:.0%} of the pixels looked at held at white" if white[1] else ""
     limit = SHARP if gamma >= 1e3 else shading.due
-    return found.within(limit, f"largest error of a displayed value, against the definition in float64{shown}")
+    return errors.within(limit, f"largest error of a displayed value, against the definition in float64{shown}")
 
 
 def _relative(shading: Shading, material: Tensor) -> Measured:
-    """The image of a material that hardly reflects, relative to the brightest of it."""
-    wanted, linear = shading.defined({"material": material})
+    """Compares the image of a material that hardly reflects, relative to its brightest value."""
+    reference, linear = shading.defined({"material": material})
     full = (shading.gbuffer.coverage.flatten()[shading.pixels] == 1).numpy()
     need(0 < linear.max() < 1e-4, "the definition is not dark here")
     worst = 0.0
@@ -197,7 +199,7 @@ def _relative(shading: Shading, material: Tensor) -> Measured:
         with torch.no_grad():
             image = renderer.render({"material": material[None]})[0].reshape(-1, 3)
         seen = image[shading.pixels].double().numpy()[full]
-        worst = max(worst, float(abs(seen - wanted[full]).max() / wanted[full].max()))
+        worst = max(worst, float(abs(seen - reference[full]).max() / reference[full].max()))
     return Measured(worst, 2e-5, "error of a displayed value relative to the brightest, which is about 1e-5")
 
 
@@ -232,21 +234,22 @@ def _gloss_gradient(group: str) -> Measured:
 def _held(by: float) -> Measured:
     """A material moved far beyond its bounds is held there by the attack, and rendered.
 
-    At the upper ones it is a mirror: white where it shows one of the sky's 128 texels, else nearly black. At the lower
-    ones it reflects 3e-6 of the light: what is displayed is compared relative to the brightest, so that black fails.
+    At the upper bounds it is a mirror: white where it shows one of the sky's 128 texels, else nearly black. At the
+    lower ones it reflects 3e-6 of the light: displayed values are compared relative to the brightest, so that black
+    fails.
     """
     shading = Shading.of(placed(radiance=sky(), size=TABLES))
     start = shading.renderer.initial()["material"]
     problem = linear_problem(shading.renderer, ("material",))
     material = start + problem.limits.clamp(torch.full_like(start, by).flatten()).reshape(start.shape)
     kappa, gamma = (1e4, 1e5) if by > 0 else (1e-6, 1e-3)
-    wanted = torch.tensor([log(kappa), log(gamma)], dtype=torch.float64)[:, None] * 30.0
-    need(largest(material.double() - wanted) < 1e-3, f"it is not held at κ = {kappa:g} and γ = {gamma:g}")
-    found = shading.errors({"material": material})
+    bounds = torch.tensor([log(kappa), log(gamma)], dtype=torch.float64)[:, None] * 30.0
+    need(largest(material.double() - bounds) < 1e-3, f"it is not held at κ = {kappa:g} and γ = {gamma:g}")
+    errors = shading.errors({"material": material})
     if by < 0:
         return _relative(shading, material)
-    need(0 < found.clipped < 0.5, f"{found.clipped:.0%} of the pixels are beyond white by the definition")
-    return found.within(SHARP, "largest error of a displayed value at the bounds, against the definition")
+    need(0 < errors.clipped < 0.5, f"{errors.clipped:.0%} of the pixels are beyond white by the definition")
+    return errors.within(SHARP, "largest error of a displayed value at the bounds, against the definition")
 
 
 def lobe_cases() -> list[Case]:
@@ -308,8 +311,8 @@ def _image_of_normals(azimuth: float, polar: float, kappa: float = 1.0, gamma: f
     """An image whose normals all have these angles: the renderer is compiled for other ones."""
     shading = Shading.of(placed(radiance=sky(), size=TABLES))
     parameters = {"normals": _all_at(shading, azimuth, polar), "material": of_one_lobe(kappa, gamma)}
-    found = shading.errors(parameters)
-    return found.within(shading.due, "largest error of a displayed value, against the definition in float64")
+    errors = shading.errors(parameters)
+    return errors.within(shading.due, "largest error of a displayed value, against the definition in float64")
 
 
 def _gradient_of_normals(azimuth: float, polar: float) -> Measured:
@@ -321,7 +324,7 @@ def _gradient_of_normals(azimuth: float, polar: float) -> Measured:
 
 
 def _pole(polar: float) -> Measured:
-    """At the pole the azimuth has no meaning: moving it moves nothing, and its gradient is zero."""
+    """At the pole the azimuth has no effect: moving it changes nothing, and its gradient is zero."""
     shading = Shading.of(placed(radiance=0.2 * sky()))
     parameters = {"normals": _all_at(shading, 0.0, polar), "material": of_one_lobe(0.3, 1.0)}
     turned = parameters | {"normals": _all_at(shading, 1.3, polar)}
@@ -371,8 +374,8 @@ def _edge_on() -> Measured:
     need(bool(np.abs(np.linalg.norm(normals, axis=1) - 1).max() < 1e-6), "a normal is not of length 1")
     need(bool((normals @ scene.view[:3, 2] > -1e-2).all()), "a normal is turned away from the viewer")
     # The plane's own normal, turned as the object is.
-    wanted = np.array([np.sin(pi / 2 - 0.01), 0.0, np.cos(pi / 2 - 0.01)])
-    off = np.minimum(np.linalg.norm(normals - wanted, axis=1), np.linalg.norm(normals + wanted, axis=1))
+    reference = np.array([np.sin(pi / 2 - 0.01), 0.0, np.cos(pi / 2 - 0.01)])
+    off = np.minimum(np.linalg.norm(normals - reference, axis=1), np.linalg.norm(normals + reference, axis=1))
     return Measured(
         float(off.max()), 1e-5, "distance to the square's own normal; a normal beyond the horizon is put on it"
     )

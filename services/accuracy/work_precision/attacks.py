@@ -1,4 +1,4 @@
-"""Whole attacks, as jobs run them: who is fooled, how visibly, after how much work, with failures censored; and the
+"""Whole attacks, as jobs run them: their success, visibility and work, with failures censored; and the
 signs that FGSM takes from the gradient of a network's log-odds within each tolerance, against the exact ones.
 """
 
@@ -75,7 +75,7 @@ ZOO: dict[str, object] = {"learning_rate": 5e-3, "weight": 1e-3}
 
 RESAMPLES = 4000
 SEED = 0
-"""Of the bootstrap."""
+"""Seed of the bootstrap."""
 
 Outcome = Literal["verified", "fooled in the loop only", "held", "wrong to begin with"]
 
@@ -116,14 +116,14 @@ class Case:
 
 def cases(scenes: int, steps: int, zoo: dict[str, object]) -> list[Case]:
     """The attacks on the first `scenes`: FGSM on each set of groups and tolerance, and ZOO with the settings `zoo`."""
-    found = []
+    runs = []
     for scene, label in SCENES[:scenes]:
         for renderer, groups, tolerances in FGSM_CASES:
             fgsm = Fgsm.model_validate({"renderer": renderer, "groups": groups, "steps": steps})
-            found += [Case(scene, label, fgsm, tolerance) for tolerance in tolerances]
+            runs += [Case(scene, label, fgsm, tolerance) for tolerance in tolerances]
         blind = Zoo.model_validate({"method": "zoo", "renderer": "pyrender"} | ZOO | zoo)
-        found.append(Case(scene, label, blind, 1e-3))
-    return found
+        runs.append(Case(scene, label, blind, 1e-3))
+    return runs
 
 
 def attack(case: Case) -> AttackRow:
@@ -170,9 +170,9 @@ def attack(case: Case) -> AttackRow:
 
 
 def _truth(case: Case, labels: tuple[str, ...]) -> tuple[int, ...]:
-    """The case's label and those that are as right, which the attack must leave together."""
-    found = truth_labels(card(NETWORK), case.scene)
-    return tuple(sorted(labels.index(name) for name in (found if case.label in found else (case.label,))))
+    """Returns the case's label and its equivalents as indices; the attack must leave all of them."""
+    truth = truth_labels(card(NETWORK), case.scene)
+    return tuple(sorted(labels.index(name) for name in (truth if case.label in truth else (case.label,))))
 
 
 def target_size() -> tuple[int, int]:
@@ -226,12 +226,12 @@ def median_interval(values: Sequence[float]) -> Interval:
 
     Medians are order statistics (the lower of the two middle ones), so that an infinite value never enters a mean.
     """
-    found = np.asarray(values, np.float64)
+    sample = np.asarray(values, np.float64)
     random = np.random.default_rng(SEED)
-    resampled = np.sort(found[random.integers(0, len(found), (RESAMPLES, len(found)))], axis=1)
-    medians = np.sort(resampled[:, (len(found) - 1) // 2])
+    resampled = np.sort(sample[random.integers(0, len(sample), (RESAMPLES, len(sample)))], axis=1)
+    medians = np.sort(resampled[:, (len(sample) - 1) // 2])
     low, high = medians[int(0.025 * RESAMPLES)], medians[int(0.975 * RESAMPLES)]
-    numbers = (float(np.sort(found)[(len(found) - 1) // 2]), float(low), float(high))
+    numbers = (float(np.sort(sample)[(len(sample) - 1) // 2]), float(low), float(high))
     median, lowest, highest = (number if isfinite(number) else None for number in numbers)
     return Interval(median=median, low=lowest, high=highest)
 
@@ -296,11 +296,11 @@ def sign_rows(mesh: str, label: str, size: tuple[int, int], texels: tuple[int, i
         mesh, size=size, thing={"material": "glossy-paint"}, lights={"environment": {"map": "studio", "size": texels}}
     )
     number = load(NETWORK).labels.index(label)
-    wanted = _gradients(_renderer(scene, "exact"), number, torch.float64, rounded=False)
+    reference = _gradients(_renderer(scene, "exact"), number, torch.float64, rounded=False)
     for tolerance, rounded in product(TOLERANCES, (False, True)):
-        found = _gradients(_renderer(scene, tolerance), number, torch.float32, rounded)
+        gradients = _gradients(_renderer(scene, tolerance), number, torch.float32, rounded)
         for group in GROUPS:
-            wrong = wrong_signs(found[group], wanted[group])
+            wrong = wrong_signs(gradients[group], reference[group])
             yield SignRow(
                 mesh=mesh,
                 map=texels,
@@ -308,7 +308,7 @@ def sign_rows(mesh: str, label: str, size: tuple[int, int], texels: tuple[int, i
                 tolerance=tolerance,
                 network="float32",
                 image="8 bit" if rounded else "unrounded",
-                coordinates=int((wanted[group] != 0).sum()),
+                coordinates=int((reference[group] != 0).sum()),
                 wrong_signs=wrong.share,
                 wrong_weight=wrong.weight,
             )
@@ -329,21 +329,21 @@ def _gradients(renderer: Renderer, number: int, dtype: torch.dtype, rounded: boo
     seen = as_saved(image) if rounded else image.detach()
     seen = seen.to(dtype).requires_grad_()
     (by_image,) = torch.autograd.grad(log_odds(target.logits(seen), number).sum(), seen)
-    found = torch.autograd.grad(image, list(leaves.values()), by_image.to(image.dtype))
-    return {group: value.flatten().double() for group, value in zip(leaves, found, strict=True)}
+    gradients = torch.autograd.grad(image, list(leaves.values()), by_image.to(image.dtype))
+    return {group: value.flatten().double() for group, value in zip(leaves, gradients, strict=True)}
 
 
 @dataclass(frozen=True)
 class WrongSigns:
-    """share: part of the coordinates whose sign is wrong. weight: part of the gradient's absolute sum that they hold; a
-    step by the signs then gains 1 − 2 · weight of what it gains with the right ones."""
+    """share: fraction of the coordinates whose sign is wrong. weight: their fraction of the gradient's absolute sum; a
+    step by the signs then gains 1 − 2 · weight of the gain with the right signs."""
 
     share: float
     weight: float
 
 
 def wrong_signs(found: Tensor, wanted: Tensor) -> WrongSigns:
-    """Of estimates [..., n] of a gradient [n], over all coordinates that are not 0 in both.
+    """Measures the signs of estimates [..., n] of a gradient [n], over all coordinates that are not 0 in both.
 
     The sign of 0 is 0: a coordinate that is estimated as 0 and is not is wrong, and so is the converse, which weighs
     nothing.

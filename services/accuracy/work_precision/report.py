@@ -1,4 +1,4 @@
-"""Error against run time: what is measured, the runner that measures it, and its report as a page, a CSV and JSON."""
+"""Error against run time: extent of the measurements, their runner, and the report as a page, a CSV and JSON."""
 
 import csv
 import json
@@ -33,7 +33,7 @@ EXACTLY = 1e-12
 
 @dataclass(frozen=True)
 class Extent:
-    """How much is measured.
+    """The extent of the measurements.
 
     subjects: mesh, material, size of the image and sizes of maps that are shaded; enough: seconds for each time that
     is taken. signs: mesh, label, size of image and of map whose gradients go through the network; scene: size of the
@@ -73,7 +73,7 @@ QUICK = Extent(
 
 
 class Measurement(BaseModel):
-    """When, how and on what the rows of a part were measured."""
+    """Date, command and machine with which the rows of a part were measured."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -86,7 +86,7 @@ class Measurement(BaseModel):
 
 
 class Report(BaseModel):
-    """Everything that `work-precision.json` says: the rows of each part that was measured, and how it was."""
+    """The contents of `work-precision.json`: the rows of each measured part, and its measurement."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -134,7 +134,7 @@ def measure(
     asked; `on_part` is called with the name of each part that starts. Raises ValidationError for a file that is no
     report.
     """
-    made = read(folder) or Report()
+    report = read(folder) or Report()
     for name in only or PARTS:
         on_part(name)
         rows = list(PARTS[name](extent))
@@ -146,9 +146,9 @@ def measure(
             backend=backend(),
             load=f"{os.getloadavg()[2]:.1f} processes in the last 15 minutes, {os.cpu_count()} processors",
         )
-        made = made.model_copy(update={name: rows, "measured": made.measured | {name: now}})
-        write(made, folder)
-    return made
+        report = report.model_copy(update={name: rows, "measured": report.measured | {name: now}})
+        write(report, folder)
+    return report
 
 
 def read(folder: Path) -> Report | None:
@@ -158,7 +158,7 @@ def read(folder: Path) -> Report | None:
 
 
 def write(made: Report, folder: Path) -> None:
-    """`work-precision.json`, `.csv` and `.md` in the folder, which is made if need be."""
+    """Writes `work-precision.json`, `.csv` and `.md` into the folder, which is created if necessary."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / f"{NAME}.json").write_text(data(made), "utf-8")
     (folder / f"{NAME}.csv").write_text(all_rows(made), "utf-8")
@@ -243,7 +243,7 @@ OMISSIONS = """
 
 
 def markdown(made: Report) -> str:
-    """The page: which tolerance to choose, then error against seconds, option by option; of the parts measured."""
+    """The page of the measured parts: the choice of a tolerance, then error against seconds, option by option."""
     plans = [row for row in made.shading if row.tolerance is not None]
     sums = [row for row in made.shading if row.tolerance is None and row.map == DEFAULT_MAP]
     attacks = list(success_rows(made.attacks))
@@ -276,12 +276,12 @@ def markdown(made: Report) -> str:
 
 
 def _section(heading: str, words: str, columns: Mapping[str, Callable[[Row], str]], rows: Sequence[Row]) -> list[str]:
-    """A table under its heading and its words, which may name {fields} of the first row; nothing without rows."""
+    """A table under its heading and text, which may name {fields} of the first row; empty without rows."""
     return [f"## {heading}", words.format(row=rows[0]), table(columns, rows)] if rows else []
 
 
 def _tolerances(made: Report, plans: Sequence[ShadingRow], attacks: Sequence[SuccessRow]) -> Iterator[str]:
-    """Which tolerance to choose, by what the rows say."""
+    """Advice on the choice of a tolerance, from the rows."""
     points = []
     by = {_named(row.tolerance): row for row in attacks if row.groups == GROUPS}
     if by:
@@ -306,12 +306,12 @@ def _provenance(made: Report) -> Iterator[str]:
     yield "Seconds are medians of several runs after one that warms up; they mean something only on a machine that does"
     yield "nothing else. Each part says how it was measured:"
     yield ""
-    for how in dict.fromkeys(one.model_dump_json() for one in made.measured.values()):
-        names = ", ".join(name for name, one in made.measured.items() if one.model_dump_json() == how)
-        one = Measurement.model_validate_json(how)
-        numbers = ", ".join(f"{name} {number}" for name, number in one.versions.items())
-        said = f"`{one.command}`, {one.when}, seed {one.seed}; load: {one.load}; {one.backend}; {numbers}"
-        yield f"- {names}: {said}."
+    for how in dict.fromkeys(measurement.model_dump_json() for measurement in made.measured.values()):
+        names = ", ".join(name for name, measurement in made.measured.items() if measurement.model_dump_json() == how)
+        measurement = Measurement.model_validate_json(how)
+        numbers = ", ".join(f"{name} {number}" for name, number in measurement.versions.items())
+        origin = f"`{measurement.command}`, {measurement.when}, seed {measurement.seed}"
+        yield f"- {names}: {origin}; load: {measurement.load}; {measurement.backend}; {numbers}."
 
 
 def _groups(row: ShadingRow | SuccessRow) -> str:

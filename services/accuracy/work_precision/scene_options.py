@@ -1,4 +1,4 @@
-"""What a scene's options cost and leave out: sizes of its map and of its shadows, surfaces, a floor, shadows."""
+"""Cost and error of a scene's options: sizes of its map and of its shadows, surfaces, a floor, shadows."""
 
 from collections.abc import Iterator, Mapping
 from functools import partial
@@ -60,9 +60,9 @@ class MapRow(BaseModel):
 def map_rows(mesh: str, size: tuple[int, int]) -> Iterator[MapRow]:
     """Every material under every size of the studio map."""
     for material in MATERIALS:
-        wanted = _under_map(mesh, material, size, LARGEST_MAP)
+        reference = _under_map(mesh, material, size, LARGEST_MAP)
         for texels in MAP_SIZES:
-            off = (_under_map(mesh, material, size, texels) - wanted).abs()
+            off = (_under_map(mesh, material, size, texels) - reference).abs()
             yield MapRow(
                 mesh=mesh,
                 material=material,
@@ -126,12 +126,14 @@ def _shadow_maps(size: tuple[int, int], enough: float) -> Iterator[ShadowRow]:
 
     finest = drawn(*FINEST_MAP)
     covered = finest.radiance({})[0, ..., 3] > 0
-    wanted = finest.render({})[0][covered]
+    finest_image = finest.render({})[0][covered]
     for resolution, samples in SHADOW_MAPS:
         renderer = drawn(resolution, samples)
-        found = renderer.render({})[0][covered]
+        image = renderer.render({})[0][covered]
         seconds = repeated(partial(renderer.render, {}), enough).median
-        yield _shadow_row("pyrender", _map_words(resolution, samples), _map_words(*FINEST_MAP), found, wanted, seconds)
+        yield _shadow_row(
+            "pyrender", _map_words(resolution, samples), _map_words(*FINEST_MAP), image, finest_image, seconds
+        )
 
 
 def _map_words(resolution: int, samples: int) -> str:
@@ -142,12 +144,12 @@ def _texels(size: tuple[int, int], enough: float) -> Iterator[ShadowRow]:
     scene = _with_shadows(size, {"texel_samples": FINEST_TEXEL})
     gbuffer = rasterise(scene)
     covered = gbuffer.coverage > 0
-    wanted = TorchRenderer(scene, gbuffer, tolerance="exact").render({})[0][covered]
+    finest_image = TorchRenderer(scene, gbuffer, tolerance="exact").render({})[0][covered]
     for side in TEXELS:
         coarse = _with_shadows(size, {"texel_samples": side})
-        found = TorchRenderer(coarse, gbuffer, tolerance="exact").render({})[0][covered]
+        image = TorchRenderer(coarse, gbuffer, tolerance="exact").render({})[0][covered]
         seconds = repeated(partial(visibility, coarse, gbuffer.surfaces()), enough).median
-        yield _shadow_row("torch", _texel_words(side), _texel_words(FINEST_TEXEL), found, wanted, seconds)
+        yield _shadow_row("torch", _texel_words(side), _texel_words(FINEST_TEXEL), image, finest_image, seconds)
 
 
 def _texel_words(side: int) -> str:
@@ -155,15 +157,15 @@ def _texel_words(side: int) -> str:
 
 
 def _shadow_row(
-    renderer: str, fineness: str, reference: str, found: Tensor, wanted: Tensor, seconds: float
+    renderer: str, fineness: str, reference: str, image: Tensor, finest_image: Tensor, seconds: float
 ) -> ShadowRow:
-    off = (found - wanted).abs().double()
+    off = (image - finest_image).abs().double()
     return ShadowRow(
         scene=SCENE,
         renderer=renderer,
         fineness=fineness,
         reference=reference,
-        pixels=len(found),
+        pixels=len(image),
         mean=float(torch.mean(off)),
         largest=float(off.max()),
         seconds=seconds,
@@ -174,7 +176,7 @@ def _shadow_row(
 
 TOLERANCES: tuple[Tolerance, ...] = (1e-2, 1e-3, "exact")
 REACHES = {"pyrender": MEASURED_REACH, "torch": MAX_PERTURBATION}
-"""How far an attack moves a coordinate of each group."""
+"""Distance by which an attack moves a coordinate of each group, by renderer."""
 
 
 class SceneRow(BaseModel):
@@ -196,7 +198,9 @@ class SceneRow(BaseModel):
 def scenes(size: tuple[int, int]) -> Iterator[tuple[str, Scene]]:
     """The scene without its options, and with one more of them at a time."""
     whole = described(size)
-    plain = [one.model_copy(update={"material": "matte", "metallic": None, "roughness": None}) for one in whole.objects]
+    plain = [
+        solid.model_copy(update={"material": "matte", "metallic": None, "roughness": None}) for solid in whole.objects
+    ]
     yield "matte objects", whole.model_copy(update={"objects": tuple(plain), "floor": None, "shadows": None})
     yield "rubber and metal", whole.model_copy(update={"floor": None, "shadows": None})
     yield "floor", whole.model_copy(update={"shadows": None})
@@ -210,13 +214,13 @@ def option_rows(size: tuple[int, int], enough: float) -> Iterator[SceneRow]:
         for kind, reach in REACHES.items():
             exact = build(scene, kind, tolerance="exact")
             values = moved(exact, reach)
-            wanted = exact.render(values)[0].double()
+            reference = exact.render(values)[0].double()
             for tolerance in TOLERANCES:
                 renderer = build(scene, kind, tolerance=tolerance)
                 start = renderer.initial()
-                given = {group: value.to(start[group].dtype) for group, value in values.items()}
-                found = renderer.render(given)[0].double()
-                error, pixels = image_error(found, wanted, ground.to(wanted))
+                parameters = {group: value.to(start[group].dtype) for group, value in values.items()}
+                image = renderer.render(parameters)[0].double()
+                error, pixels = image_error(image, reference, ground.to(reference))
                 yield SceneRow(
                     scene=name,
                     renderer=kind,
@@ -224,19 +228,19 @@ def option_rows(size: tuple[int, int], enough: float) -> Iterator[SceneRow]:
                     pixels=pixels,
                     mean=error.mean,
                     share=error.share,
-                    largest=float((found - wanted).abs().max()),
+                    largest=float((image - reference).abs().max()),
                     estimate=renderer.plan.error,
-                    seconds=repeated(partial(renderer.render, given), enough).median,
+                    seconds=repeated(partial(renderer.render, parameters), enough).median,
                 )
 
 
 def moved(renderer: Renderer, reach: Mapping[str, float]) -> Parameters:
     """The values of the groups that are attacked by default, each coordinate moved at random by up to its `reach`,
     {group: [1, ...]}: float64 rounded to float32, so that every tolerance renders the same ones."""
-    found = {}
+    parameters = {}
     for group in renderer.plan.groups:
         value = renderer.initial()[group].double()
         random = torch.rand(value.shape, generator=generator(0, "scene options", group), dtype=torch.float64)
         low, high = (bound.double() for bound in renderer.bounds()[group])
-        found[group] = torch.clamp(value + reach[group] * (2 * random - 1), low, high).float().double()[None]
-    return found
+        parameters[group] = torch.clamp(value + reach[group] * (2 * random - 1), low, high).float().double()[None]
+    return parameters

@@ -48,12 +48,12 @@ class Times(BaseModel):
 
 def repeated(work: Callable[[], object], enough: float) -> Times:
     """Times of LEAST to MOST repeats, as many as fit into `enough` seconds. Warm up before."""
-    found = [_seconds(work)]
-    least = LEAST if found[0] < LONG else 3
-    while len(found) < least or (len(found) < MOST and sum(found) < enough):
-        found.append(_seconds(work))
-    lower, median, upper = (float(value) for value in np.quantile(found, (0.25, 0.5, 0.75)))
-    return Times(shortest=min(found), lower=lower, median=median, upper=upper, repeats=len(found))
+    seconds = [_seconds(work)]
+    least = LEAST if seconds[0] < LONG else 3
+    while len(seconds) < least or (len(seconds) < MOST and sum(seconds) < enough):
+        seconds.append(_seconds(work))
+    lower, median, upper = (float(value) for value in np.quantile(seconds, (0.25, 0.5, 0.75)))
+    return Times(shortest=min(seconds), lower=lower, median=median, upper=upper, repeats=len(seconds))
 
 
 def _seconds(work: Callable[[], object]) -> float:
@@ -64,7 +64,7 @@ def _seconds(work: Callable[[], object]) -> float:
 
 GROUPS = ("normals", "illumination", "material")
 FAR = 0.1
-"""Part of an attack's reach that the scene is moved by, coordinate by coordinate with random signs."""
+"""Fraction of an attack's reach by which each coordinate of the scene is moved, with random signs."""
 COARSE = 14
 """Squares a side of the random numbers that an image's weights are smoothed from."""
 TOLERANCES: tuple[Tolerance, ...] = (1e-2, 1e-3, 1e-4, "exact")
@@ -104,7 +104,7 @@ class Subject:
         return self.coverage.to(radiance.dtype) * shown
 
     def only(self, some: Tensor) -> "Subject":
-        """The same with the covered pixels at the places `some` alone."""
+        """The same subject with only the covered pixels at the indices `some`."""
         surface = replace(self.surface, angles=self.surface.angles[some], base_color=self.surface.base_color[some])
         return replace(
             self,
@@ -152,13 +152,13 @@ def subject(mesh: str, material: str, size: tuple[int, int], texels: tuple[int, 
 
 def moved(values: dict[str, Tensor]) -> dict[str, Tensor]:
     """The values with every coordinate moved by FAR of its reach, up or down at random."""
-    found = {}
+    result = {}
     for group, value in values.items():
         random = generator(0, "work-precision", group)
         signs = (torch.rand(value.shape, generator=random, dtype=torch.float64) - 0.5).sign()
-        found[group] = value + FAR * MAX_PERTURBATION[group] * signs
-    found["illumination"].clamp_(min=0.0)
-    return {group: value.float().double() for group, value in found.items()}
+        result[group] = value + FAR * MAX_PERTURBATION[group] * signs
+    result["illumination"].clamp_(min=0.0)
+    return {group: value.float().double() for group, value in result.items()}
 
 
 def smooth_weights(size: tuple[int, int]) -> Tensor:
@@ -184,7 +184,7 @@ class ShadingMethod:
     tolerance: Tolerance | None = None
 
     def recipe(self, of: Subject) -> tuple[Recipe, float | None]:
-        """How a subject is shaded, and the plan's estimate of the largest error."""
+        """Returns the recipe by which a subject is shaded, and the plan's estimate of the largest error."""
         if self.tolerance is None:
             return replace(exact_recipe(of.sky), dtype=self.dtype), None
         [recipe], plan = compile_plan([of.surface], of.sky, of.intensity, self.groups, self.tolerance, of.size)
@@ -264,7 +264,7 @@ class Truth:
 
 
 def truth(of: Subject, groups: tuple[str, ...]) -> Truth:
-    """By the sum over every direction and lobe, in float64."""
+    """Computes image and gradients by the sum over every direction and lobe, in float64."""
     recipe = exact_recipe(of.sky)
     return Truth(*derived(of, Shader(recipe, of.sky, of.surface, of.intensity), values_of(of, groups), groups))
 
@@ -282,12 +282,12 @@ def derived(
     dtype = shader.recipe.dtype
     leaves = {g: v.to(dtype).detach().requires_grad_(g in groups) for g, v in values.items()}
     image = of.image(shader, leaves)
-    found = torch.autograd.grad(of.value(image), [leaves[group] for group in groups])
-    return image.detach().double(), {g: s.double() for g, s in zip(groups, found, strict=True)}
+    gradients = torch.autograd.grad(of.value(image), [leaves[group] for group in groups])
+    return image.detach().double(), {g: s.double() for g, s in zip(groups, gradients, strict=True)}
 
 
 def row(method: ShadingMethod, of: Subject, reference: Truth, enough: float) -> ShadingRow:
-    """A method measured on a subject, for about `enough` seconds for each time taken. What it raises becomes a note."""
+    """A method measured on a subject, for about `enough` seconds for each time taken. An error becomes a note."""
     known = ShadingRow(
         mesh=of.mesh,
         material=of.material,
