@@ -51,12 +51,12 @@ class Server:
 def served(folder: Path) -> Iterator[Server]:
     """Runs the API and Redis with their files in a folder."""
     redis = EmbeddedRedis()
-    given = {"data": folder / "data", "redis_url": redis.url, "max_queued": 100_000}
-    environ = os.environ | Settings.model_validate(given).environ()
+    options = {"data": folder / "data", "redis_url": redis.url, "max_queued": 100_000}
+    environ = os.environ | Settings.model_validate(options).environ()
     command = [sys.executable, "-m", "client", "keys", "create", "fuzz", "--scope", "admin", "--json"]
     key = json.loads(subprocess.run(command, env=environ, capture_output=True, check=True).stdout)["key"]
     log = folder / "api.log"
-    with socket.create_server(("127.0.0.1", 0)) as listener, log.open("w") as said:
+    with socket.create_server(("127.0.0.1", 0)) as listener, log.open("w") as log_file:
         url = f"http://127.0.0.1:{listener.getsockname()[1]}"
         programs = [
             subprocess.Popen(redis.program().command(), stdout=subprocess.DEVNULL),
@@ -64,7 +64,7 @@ def served(folder: Path) -> Iterator[Server]:
                 [sys.executable, "-m", "api.main", str(listener.fileno())],
                 env=environ,
                 pass_fds=[listener.fileno()],
-                stderr=said,
+                stderr=log_file,
             ),
         ]
         try:

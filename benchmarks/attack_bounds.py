@@ -200,12 +200,12 @@ def main() -> None:
     torch.set_num_threads(options.threads)
     cases = [*adversarial_scenes(), *random_scenes(options.random, options.seed)]
     made_by = (__doc__ or "", backend(), options.seed)
-    found = _earlier(options.out, head(*made_by))
+    measured = _earlier(options.out, head(*made_by))
     settings = settings_to_run()
     library = Library(settings.cache_dir, settings.data_dir)
-    for case in track([case for case in cases if case.name not in found], "attacking"):
-        row = found[case.name] = attack_errors(case, library)
-        rows = list(found.values())
+    for case in track([case for case in cases if case.name not in measured], "attacking"):
+        row = measured[case.name] = attack_errors(case, library)
+        rows = list(measured.values())
         save(
             options.out,
             *made_by,

@@ -54,7 +54,7 @@ def _failed(at: datetime) -> dict[str, Any]:
 
 def _succeeded(at: datetime, chance: random.Random, result: dict[str, Any]) -> dict[str, Any]:
     fooled = chance.random() < 0.7
-    said = {
+    outcome = {
         "outcome": "fooled" if fooled else "held",
         "right_before": True,
         "fooled": fooled,
@@ -72,4 +72,4 @@ def _succeeded(at: datetime, chance: random.Random, result: dict[str, Any]) -> d
         "seconds": 100 * chance.random(),
     }
     ended = {"state": State.SUCCEEDED, "succeeded_at": at, "ended_at": at}
-    return ended | {"outcome": said, "result": result, **listed_outcome(said)}
+    return ended | {"outcome": outcome, "result": result, **listed_outcome(outcome)}

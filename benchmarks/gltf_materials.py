@@ -90,8 +90,8 @@ def main() -> None:
     options = parser.parse_args()
     views = [View(model, light) for model in MODELS for light in LIGHTS]
     drawn = [ours(view) for view in views]
-    apart = [difference(one, other) for (one, _), other in zip(drawn, stock(views), strict=True)]
-    rows = [{"model": view.model, "light": view.light} | found for view, found in zip(views, apart, strict=True)]
+    apart = [difference(image, reference) for (image, _), reference in zip(drawn, stock(views), strict=True)]
+    rows = [{"model": view.model, "light": view.light} | errors for view, errors in zip(views, apart, strict=True)]
     far = [k for k, row in enumerate(rows) if float(row["mean"]) >= LIMIT]
     again = stock([View(views[k].model, views[k].light, mend=True) for k in far])
     for k, other in zip(far, again, strict=True):

@@ -74,12 +74,12 @@ def _in_a_process(attack: str, size: int, steps: int, repeats: int) -> dict[str,
     command = [sys.executable, "-m", "benchmarks.jobs", "--one", attack, str(size), str(steps)]
     command += ["--repeats", str(repeats)]
     done = subprocess.run(command, env=os.environ | ALLOCATOR, check=True, capture_output=True, text=True)
-    found: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
-    return found
+    result: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+    return result
 
 
 def _measure(attack: str, size: int, steps: int, repeats: int) -> dict[str, Any]:
-    """Of `repeats` jobs beside as many passes of the network; with 0, of one job and its memory only."""
+    """Measures `repeats` jobs beside as many passes of the network; with 0, one job and its memory only."""
     settings = settings_to_run()
     warm_up(settings)
     library = Library(settings.cache_dir, settings.data_dir)
@@ -95,10 +95,10 @@ def _measure(attack: str, size: int, steps: int, repeats: int) -> dict[str, Any]
             return {"peak MiB": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024}
         target = registry.load(spec.target.name)
         execute(parse({"scene": scene, "attack": chosen | held | {"steps": 2}}), Path(out), library)  # warms up
-        found: list[dict[str, float]] = []
+        rows: list[dict[str, float]] = []
         for _ in range(repeats):
             job, loop, network = _beside(spec, Path(out), library, target)
-            found.append(
+            rows.append(
                 {
                     "job s": job,
                     "loop s": loop,
@@ -107,7 +107,7 @@ def _measure(attack: str, size: int, steps: int, repeats: int) -> dict[str, Any]
                     "loop / network": loop / network,
                 }
             )
-    middle: dict[str, Any] = {name: median(one[name] for one in found) for name in found[0]}
+    middle: dict[str, Any] = {name: median(row[name] for row in rows) for name in rows[0]}
     return middle | {
         "peak MiB": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
         "backend": prepare(spec, library).backend,

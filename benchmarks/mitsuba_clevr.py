@@ -117,7 +117,7 @@ def _means(scene: ResolvedScene, apart: np.ndarray, chosen: np.ndarray) -> dict[
     owner = rasterise(scene).object_index.numpy()
     off, count = 255 * np.abs(apart).mean(axis=-1), len(scene.meshes)
     things = scene.description.objects
-    found: dict[str, Any] = {}
+    means: dict[str, Any] = {}
     for name, numbers in (
         ("objects", list(range(count))),
         ("metals", [k for k in range(count) if things[k].material == "metal"]),
@@ -125,9 +125,9 @@ def _means(scene: ResolvedScene, apart: np.ndarray, chosen: np.ndarray) -> dict[
         ("floor", [count]),
     ):
         own = chosen & np.isin(owner, numbers)
-        found[name] = round(float(off[own].mean()), 3) if own.any() else None
-    found["pixels"] = int((chosen & (owner < count)).sum())
-    return found
+        means[name] = round(float(off[own].mean()), 3) if own.any() else None
+    means["pixels"] = int((chosen & (owner < count)).sum())
+    return means
 
 
 def _shown(radiance: np.ndarray) -> np.ndarray:
@@ -144,7 +144,7 @@ def _interior(scene: ResolvedScene) -> np.ndarray:
 
 
 def _thing(placed: PlacedMesh, path: Path) -> dict[str, Any]:
-    """Writes a mesh in world space as a PLY file; returns what Mitsuba needs to know of it."""
+    """Writes a mesh in world space as a PLY file; returns Mitsuba's description of it."""
     [part] = placed.mesh.parts
     turn, move = placed.model[:3, :3], placed.model[:3, 3]
     vertices = part.vertices.astype(np.float64) @ turn.T + move

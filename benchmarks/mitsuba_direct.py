@@ -20,7 +20,7 @@ from benchmarks.peers import reach
 BODY = 0.96**2
 """The share of the base colour that glTF's dielectric body reflects of light that falls straight in: 0.96 (1 - F)."""
 RUBBER = 0.92
-"""The same of the preset `rubber`: 0.95 (1 - E)² / (1 - Ē), with E = 0.04 reflected by the dielectric and Ē = 0.05 of
+"""The same for the preset `rubber`: 0.95 (1 - E)² / (1 - Ē), with E = 0.04 reflected by the dielectric and Ē = 0.05 of
 light from all around (scripts/fit_materials.py)."""
 ALPHA = {"rubber": 0.49, "metal": 0.16}
 """Roughnesses of the facets that the presets are fitted to."""

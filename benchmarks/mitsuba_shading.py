@@ -45,19 +45,19 @@ def main() -> None:
     dr.set_thread_count(torch.get_num_threads())
     scene = mi.load_dict(_scene(mi, np.load(options.map), options.size, sqrt(4 * options.pixels / pi) / options.size))
     parameters = mi.traverse(scene)
-    wanted = [key for key in parameters.keys() if key.split(".")[-1] in WANTED or "reflectance" in key]  # noqa: SIM118
+    keys = [key for key in parameters.keys() if key.split(".")[-1] in WANTED or "reflectance" in key]  # noqa: SIM118
     reference = _averaged(mi, scene, options.reference)
     covered = reference.sum(axis=-1) > 0
     factor = 0.9 / reference.max()
     weights = mi.TensorXf(np.random.default_rng(0).standard_normal(reference.shape).astype(np.float32))
 
     def work(samples: int, seed: int) -> np.ndarray:
-        for key in wanted:
+        for key in keys:
             dr.enable_grad(parameters[key])
         parameters.update()
         image = mi.render(scene, parameters, spp=samples, seed=seed)
         dr.backward(dr.sum(image * weights))
-        gradients = [dr.grad(parameters[key]) for key in wanted]
+        gradients = [dr.grad(parameters[key]) for key in keys]
         dr.eval(image, *gradients)
         dr.sync_thread()
         return np.array(image)
@@ -73,15 +73,15 @@ def main() -> None:
             error = (_display(factor * image) - _display(factor * reference))[covered]
             errors.append(float(np.sqrt(np.mean(error**2))))
         rows.append({"samples": samples, "seconds": min(seconds), "rms": float(np.mean(errors))})
-    found = {
+    result = {
         "mitsuba": mi.__version__,
         "variant": mi.variant(),
-        "gradients": wanted,
+        "gradients": keys,
         "object_pixels": int(covered.sum()),
         "reference_samples": options.reference,
         "rows": rows,
     }
-    print(json.dumps(found))
+    print(json.dumps(result))
 
 
 def _averaged(mi: Any, scene: Any, samples: int, step: int = 256) -> np.ndarray:

@@ -25,7 +25,7 @@ Cell = Callable[[Row], str]
 
 @dataclass(frozen=True)
 class Rows:
-    """A table: the rows of a result, and what writes the cells of each column by its heading."""
+    """A table: the rows of a result, and for each heading the function that writes a cell of its column."""
 
     of: Callable[[Row], list[Row]]
     columns: dict[str, Cell]
@@ -33,7 +33,7 @@ class Rows:
 
 @dataclass(frozen=True)
 class Section:
-    """A result by its name, and what the page says of it: text with {fields} of the result, and tables."""
+    """A result by its name, and its part of the page: text with {fields} of the result, and tables."""
 
     heading: str
     result: str

@@ -65,18 +65,18 @@ class Case:
             for index, (image, label) in enumerate(zip(self.saved, self.labels, strict=True))
         ]
 
-    def attack(self, name: str, **given: Any) -> Attack:
+    def attack(self, name: str, **options: Any) -> Attack:
         """Our attack of this name."""
-        request = {"method": name, "renderer": "image", "epsilon": {"image": self.epsilon}} | given
+        request = {"method": name, "renderer": "image", "epsilon": {"image": self.epsilon}} | options
         return ATTACKS[name].model_validate(request)
 
 
-def ours(case: Case, name: str, steps: int, seed: int | None = None, **given: Any) -> Tensor:
+def ours(case: Case, name: str, steps: int, seed: int | None = None, **options: Any) -> Tensor:
     """All steps of our attack, without ending early. Begins at random if there is a seed, and then keeps the best."""
     images = []
-    attack = case.attack(name, steps=steps, **given)
-    for one in case.problems(given.get("loss", "log-odds"), seed or 0):
-        problem = one if seed is None else at_random_start(one, 1, 0)
+    attack = case.attack(name, steps=steps, **options)
+    for candidate in case.problems(options.get("loss", "log-odds"), seed or 0):
+        problem = candidate if seed is None else at_random_start(candidate, 1, 0)
         state = attack.init(problem)
         least, best = torch.inf, problem.nothing
         for step in range(steps + 1):
@@ -141,28 +141,28 @@ def apgd(case: Case, steps: int) -> dict[str, Tensor]:
     """APGD by cross-entropy and by DLR, from two random starts each."""
     import torchattacks
 
-    found = {}
+    images = {}
     for name, ours_by in (("ce", "log-odds"), ("dlr", "dlr")):
         for seed in SEEDS:
-            found[f"APGD {name}, ours, seed {seed}"] = ours(case, "apgd", steps, seed, loss=ours_by)
+            images[f"APGD {name}, ours, seed {seed}"] = ours(case, "apgd", steps, seed, loss=ours_by)
         for seed in SEEDS:
             attack = torchattacks.APGD(case.plain, eps=case.epsilon, steps=steps, loss=name, seed=seed)
             # `best_loss` keeps the best point of each image, as ours does; otherwise it ends at the first success
             run = lambda x, y, attack=attack: attack.perturb(x, y, best_loss=True)[1]  # noqa: E731
             torch.manual_seed(seed)
-            found[f"APGD {name}, torchattacks, seed {seed}"] = theirs(case, run)
-    return found
+            images[f"APGD {name}, torchattacks, seed {seed}"] = theirs(case, run)
+    return images
 
 
 def row(name: str, case: Case, images: Tensor, queries: float | None = None) -> dict[str, object]:
-    """What the network says of the images, one at a time."""
+    """The network's results on the images, one at a time."""
     logits = torch.stack([case.target.logits(from_bytes(image)[None])[0] for image in images])
     own = logits.gather(1, case.labels[:, None])[:, 0]
     margin = own - logits.scatter(1, case.labels[:, None], -torch.inf).amax(dim=1)
     beyond = (images.int() - case.saved.int()).abs().max().item() - round(255 * case.epsilon)
     assert beyond <= 0, f"{name} is beyond ε by {beyond}/255"
-    found = {"attack": name, "fooled": int((logits.argmax(dim=1) != case.labels).sum()), "of": len(images)}
-    return found | {"margin": float(margin.mean()), "queries": queries}
+    counts = {"attack": name, "fooled": int((logits.argmax(dim=1) != case.labels).sum()), "of": len(images)}
+    return counts | {"margin": float(margin.mean()), "queries": queries}
 
 
 def right_images(library: Library, count: int) -> tuple[Tensor, Tensor, list[str]]:

@@ -41,9 +41,9 @@ class Server:
         file = self._directory / "password"
         file.write_text(self._password)
         file.chmod(0o644)
-        made = [_program("initdb"), "--pgdata", str(self._data), "--username=scene_attack", "--encoding=UTF8"]
-        made += ["--auth=scram-sha-256", f"--pwfile={file}", "--locale=C.UTF-8", "--no-sync"]
-        assert self._run(made).wait(PATIENCE) == 0, "PostgreSQL could not be set up"
+        command = [_program("initdb"), "--pgdata", str(self._data), "--username=scene_attack", "--encoding=UTF8"]
+        command += ["--auth=scram-sha-256", f"--pwfile={file}", "--locale=C.UTF-8", "--no-sync"]
+        assert self._run(command).wait(PATIENCE) == 0, "PostgreSQL could not be set up"
         own = {"listen_addresses": "127.0.0.1", "port": free_port(), "unix_socket_directories": self._directory}
         self.port = own["port"]
         self._command = [_program("postgres"), "-D", str(self._data)]
@@ -97,15 +97,15 @@ class Server:
 
     def processes(self) -> list[psutil.Process]:
         """The living processes of the server, the postmaster first. All work in the data directory."""
-        found = []
+        living = []
         for process in psutil.process_iter():
             try:
                 if process.cwd() == str(self._data) and process.status() != psutil.STATUS_ZOMBIE:
-                    found.append(process)
+                    living.append(process)
             except psutil.Error:
                 continue
         postmaster = None if self._process is None else self._process.pid
-        return sorted(found, key=lambda one: (one.pid != postmaster, one.pid))
+        return sorted(living, key=lambda process: (process.pid != postmaster, process.pid))
 
     def stop(self) -> None:
         """Ends the server and removes its directory."""
@@ -136,9 +136,9 @@ def _other_user() -> pwd.struct_passwd:
 
 def _program(name: str) -> str:
     """The path of a program of PostgreSQL; Debian keeps those of the server in a folder for each version."""
-    found = shutil.which(name) or max(map(str, Path("/usr/lib/postgresql").glob(f"*/bin/{name}")), default=None)
-    assert found is not None, "there is no PostgreSQL; scripts/setup --test installs it"
-    return found
+    program = shutil.which(name) or max(map(str, Path("/usr/lib/postgresql").glob(f"*/bin/{name}")), default=None)
+    assert program is not None, "there is no PostgreSQL; scripts/setup --test installs it"
+    return program
 
 
 def free_port() -> int:

@@ -104,11 +104,11 @@ def compare(scene: Scene, library: Library, images: int) -> dict[str, Any]:
 def _gradient_error(ours: Tensor, exact: Tensor, weight: Tensor, at: dict[str, Tensor]) -> float:
     """The largest error of a group's gradient, relative to the largest exact gradient of the group."""
     sides = [(of[::2] - of[1::2]).double().flatten(1) for of in (ours, exact)]
-    found, true = (side @ weight.double() / (2 * STEP) for side in sides)
+    computed, true = (side @ weight.double() / (2 * STEP) for side in sides)
     worst, first = 0.0, 0
     for value in at.values():
         own = slice(first, first := first + value.numel())
-        worst = max(worst, float((found[own] - true[own]).abs().max() / true[own].abs().max().clamp_min(1e-12)))
+        worst = max(worst, float((computed[own] - true[own]).abs().max() / true[own].abs().max().clamp_min(1e-12)))
     return worst
 
 

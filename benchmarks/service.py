@@ -51,7 +51,7 @@ from services.pipeline.spec import parse
 from services.settings import Settings
 
 COLD = 10
-"""Jobs of a new service that are not timed: they load what later ones find loaded."""
+"""Jobs of a new service that are not timed: they load the data and modules of later ones."""
 LONG = 10_000
 """Steps of a job that runs for minutes."""
 QUEUED = 1000
@@ -151,8 +151,8 @@ def submissions(count: int, _seconds: float) -> dict[str, Any]:
 
     with _served(workers=1, max_queued=count + 10) as (service, client):
         _busy(client, 1)
-        took, found = asyncio.run(all_of_them(service.url))
-    return {"jobs": count, "lost": len(set(ids) - found), "a second": round(count / took, 1)} | _spread(taken)
+        took, ended = asyncio.run(all_of_them(service.url))
+    return {"jobs": count, "lost": len(set(ids) - ended), "a second": round(count / took, 1)} | _spread(taken)
 
 
 def reads(count: int, seconds: float) -> dict[str, Any]:

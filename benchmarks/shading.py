@@ -108,7 +108,7 @@ def _plain(scene: ResolvedScene, name: str, chunk: int | None, repeats: int) -> 
 
 
 def _cases(truth: PlainShading, initial: Parameters, groups: tuple[str, ...]) -> list[Case]:
-    """The scene's own parameters, and the attacked groups moved, with what plain torch makes of them in float64."""
+    """The scene's own parameters, and the attacked groups moved, with the results of plain torch in float64."""
     moved = {g: v + (MOVES[g] * _random(g, v) if g in groups else 0.0) for g, v in initial.items()}
     moved["illumination"] = moved["illumination"].clamp_min(0.0)
     weights = _weights(len(truth.pixels))
@@ -139,8 +139,8 @@ def _rendered(
     leaves = {g: at[g].clone().requires_grad_() for g in groups}
     image = renderer.render({g: leaf[None] for g, leaf in leaves.items()})[0]
     colours = image.reshape(-1, 3)[truth.pixels]
-    found = torch.autograd.grad((colours * weights.to(colours.dtype)).sum(), list(leaves.values()))
-    return colours.detach(), dict(zip(groups, found, strict=True))
+    gradients = torch.autograd.grad((colours * weights.to(colours.dtype)).sum(), list(leaves.values()))
+    return colours.detach(), dict(zip(groups, gradients, strict=True))
 
 
 def _weights(pixels: int) -> Tensor:
@@ -159,8 +159,8 @@ def _mitsuba(scene: ResolvedScene, pixels: int) -> Row:
         done = subprocess.run(command, capture_output=True, text=True)
     if done.returncode != 0:
         return {"failed": done.stderr[-500:], "rows": []}
-    found: Row = json.loads(done.stdout.splitlines()[-1])
-    return found
+    row: Row = json.loads(done.stdout.splitlines()[-1])
+    return row
 
 
 def _line(row: Row) -> str:

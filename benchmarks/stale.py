@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 ROOT = Path(__file__).parents[1]
 SIGNED = Path(__file__).parent / "results" / "fingerprints.json"
 CACHED = Path(__file__).parent / ".fingerprints.json"
-"""What was computed last, with a hash of the code that it was computed by; ignored by git."""
+"""The last computed fingerprints, with a hash of the code that computed them; ignored by git."""
 CODE = ("services/rendering", "services/scenes", "services/targets")
 """The folders whose code decides images and scores."""
 BOTH = ("pyrender", "torch")
@@ -90,7 +90,7 @@ SCENES = (
 
 
 def main() -> None:
-    """Lists what is stale, or signs files; see --help."""
+    """Lists stale results, or signs files; see --help."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("sign", nargs="*", help="sign, and the files to sign")
     parser.add_argument("--cached", action="store_true", help="compute nothing")
@@ -104,9 +104,9 @@ def main() -> None:
     if today is None:
         print("the code of images and scores has changed since `python -m benchmarks.stale` computed what it does")
         return
-    found = [(name, why) for name in DEPENDS if (why := stale(name, today)) is not None]
-    print(f"{len(found)} of {len(DEPENDS)} results may be older than the code" + (":" if found else ""))
-    for name, why in found:
+    outdated = [(name, why) for name in DEPENDS if (why := stale(name, today)) is not None]
+    print(f"{len(outdated)} of {len(DEPENDS)} results may be older than the code" + (":" if outdated else ""))
+    for name, why in outdated:
         print(f"  {name}: {why}")
 
 
@@ -160,7 +160,7 @@ def fingerprints() -> dict[str, str]:
 
 
 def cached() -> dict[str, str] | None:
-    """What `fingerprints` returned last, if it was the code as it is now; else None."""
+    """The last result of `fingerprints` if the code has not changed since; else None."""
     if not CACHED.exists():
         return None
     last = json.loads(CACHED.read_text("utf-8"))

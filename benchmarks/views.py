@@ -18,10 +18,10 @@ def right(library: Library, count: int) -> Iterator[tuple[str, str]]:
         if count == 0:
             return
         try:
-            found = prepare(parse({"scene": {"objects": [{"mesh": mesh}]}, "goal": {"leave": label}}), library)
+            prepared = prepare(parse({"scene": {"objects": [{"mesh": mesh}]}, "goal": {"leave": label}}), library)
         except InvalidRequest:
             continue
-        if any(warning.code in ("already-wrong", "truth-unknown") for warning in found.settled.warnings):
+        if any(warning.code in ("already-wrong", "truth-unknown") for warning in prepared.settled.warnings):
             continue
         yield mesh, label
         count -= 1

@@ -172,8 +172,8 @@ def main() -> int:
     """Prints the files by room, and whether there are at most GOAL. Returns the exit status: 1 if the job failed."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("request", nargs="?", type=Path, help="a request as JSON (default: a sphere, 30 steps of FGSM)")
-    given = parser.parse_args().request
-    request = SHORT if given is None else json.loads(given.read_text())
+    path = parser.parse_args().request
+    request = SHORT if path is None else json.loads(path.read_text())
     walk = Walk()
     threading.setprofile(walk)
     sys.setprofile(walk)

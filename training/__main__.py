@@ -49,12 +49,12 @@ def split(
     settings = settings_to_train()
     command = f"python -m training split --seed {seed}"
     with err().status("") as line:
-        made = make(local_library(settings), settings.cache_dir, seed, command, lambda words: line.update(words))
-    save(made, out or PATH)
-    held_out, training = (len(made.models(side)) for side in ("held_out", "training"))
+        result = make(local_library(settings), settings.cache_dir, seed, command, lambda words: line.update(words))
+    save(result, out or PATH)
+    held_out, training = (len(result.models(side)) for side in ("held_out", "training"))
     err().print(
-        f"{len(made.classes)} classes, {training} models for training, {held_out} held out; cross-validated accuracy "
-        f"of a linear probe {made.accuracy:.3f}: {', '.join(made.classes)}",
+        f"{len(result.classes)} classes, {training} models for training, {held_out} held out; cross-validated accuracy "
+        f"of a linear probe {result.accuracy:.3f}: {', '.join(result.classes)}",
         markup=False,
         highlight=False,
     )
@@ -117,8 +117,8 @@ def iep(
     drawing = processes or cores()
     with _telling() as said:
         if check:
-            found = checked(weights or SHIPPED, out / "iep", library, said, over, drawing)
-            lines = None if found is None else [found.summary, *found.disagreements]
+            outcome = checked(weights or SHIPPED, out / "iep", library, said, over, drawing)
+            lines = None if outcome is None else [outcome.summary, *outcome.disagreements]
         else:
             stages = Stages(RECIPE.scaled(scale), seed, out / "iep", library, said, over, drawing)
             command = f"python -m training iep --seed {seed}" + ("" if scale == 1 else f" --scale {scale:g}")
@@ -229,7 +229,7 @@ def main() -> None:
     try:
         app(prog_name="python -m training")
     except InvalidRequest as error:
-        print(*(f"bad input: {one.field}: {one.detail}" for one in error.every), sep="\n", file=sys.stderr)
+        print(*(f"bad input: {wrong.field}: {wrong.detail}" for wrong in error.every), sep="\n", file=sys.stderr)
         sys.exit(2)
     except JobFailure as error:
         print(f"failed ({error.kind}): {error.detail}", file=sys.stderr)

@@ -28,7 +28,7 @@ DEFAULT_GROUND = 0.25
 
 @dataclass(frozen=True)
 class Choices:
-    """What varies between the images of a batch.
+    """Random choices that differ between the images of a batch.
 
     views, looks: int64 [B]. grounds: float32 [B, 3], displayed, multiples of 1/255. tints: float32 [B, 3], factors on
     the linear base colour. painted: bool [B], whether the tint is the base colour, in the place of the model's own.

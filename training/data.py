@@ -1,4 +1,4 @@
-"""Puts together what a network is trained on: views of the training models, looks, hints of a teacher."""
+"""Assembles the training data of a network: views of the training models, looks, hints of a teacher."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -37,7 +37,7 @@ def gather(
 ) -> Data:
     """Returns the data of a recipe: `models` are (class, slug). Drawn views and hints are kept in `cache`.
 
-    `said` gets a step's name, how much of it is done, and its total.
+    `said` gets a step's name, the amount done, and the total.
     """
     parts = []
     for _, slug in models:
@@ -57,13 +57,13 @@ def _hints(library: Library, drawn: Views, said: Callable[[str, int, int], None]
     teacher = load()
     table = environment_look(library, Environment(), "matte", ELEVATION)[None]
     count = drawn.count
-    found = []
+    batches = []
     for start in range(0, count, AT_ONCE):
         at = np.arange(start, min(start + AT_ONCE, count))
         images = shade(drawn, table, plain(at, np.zeros_like(at)))
-        found.append(features_of(teacher, F.interpolate(images, TEACHER_SIZE, mode="bilinear")))
+        batches.append(features_of(teacher, F.interpolate(images, TEACHER_SIZE, mode="bilinear")))
         said("asking the teacher", start + len(at), count)
-    features = torch.cat(found)
+    features = torch.cat(batches)
     centred = features - features.mean(0)
     values, vectors = torch.linalg.eigh((centred.T @ centred / len(centred)).double())
     kept = slice(max(0, len(values) - HINTS), None)

@@ -43,27 +43,27 @@ def held_out(
     library: Library, models: Sequence[tuple[int, str]], folder: Path, said: Callable[[str, int, int], None]
 ) -> Images:
     """Returns the exact renderers' views of models (class, slug) in the default scene, to 8 bits; kept in `folder`."""
-    found, classes, numbers, renderers = [], [], [], []
+    model_images, classes, numbers, renderers = [], [], [], []
     for number, (kind, slug) in enumerate(models):
         images = _of_model(library, PREFIX + slug, folder)
         said("rendering held-out models", number + 1, len(models))
-        found.append(images)
+        model_images.append(images)
         classes += [kind] * len(images)
         numbers += [number] * len(images)
         renderers += [renderer for renderer in range(len(RENDERERS)) for _ in range(VIEWS)]
-    return Images(torch.cat(found), torch.tensor(classes), torch.tensor(numbers), torch.tensor(renderers))
+    return Images(torch.cat(model_images), torch.tensor(classes), torch.tensor(numbers), torch.tensor(renderers))
 
 
 @torch.no_grad()
 def answers(network: nn.Module, images: Images) -> Tensor:
     """Returns the network's answers, int64 [N]."""
     network = network.eval().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-    found = []
+    batches = []
     for part in torch.split(images.images, AT_ONCE):
         x = normalised(part.permute(0, 3, 1, 2).float() / 255)
         x = F.interpolate(x, (INPUT, INPUT), mode="bilinear", antialias=True)
-        found.append(network(x.contiguous(memory_format=torch.channels_last)).argmax(1))
-    return torch.cat(found)
+        batches.append(network(x.contiguous(memory_format=torch.channels_last)).argmax(1))
+    return torch.cat(batches)
 
 
 def clustered_error(right: Tensor, models: Tensor) -> float:
@@ -88,10 +88,10 @@ def _of_model(library: Library, mesh: str, folder: Path) -> Tensor:
     named = json.dumps([1, RENDERERS, [scene.model_dump(mode="json") for scene in scenes]])
     path = folder / f"{hashlib.sha256(named.encode()).hexdigest()[:32]}.safetensors"
     if not path.exists():
-        made = []
+        images = []
         for renderer in RENDERERS:
             for scene in scenes:
                 built = build(resolve(scene, library), renderer, tolerance="exact")
-                made.append(to_bytes(built.exact().render({}))[0])
-        disk.write(path, safetensors.numpy.save({"images": torch.stack(made).cpu().numpy()}))
+                images.append(to_bytes(built.exact().render({}))[0])
+        disk.write(path, safetensors.numpy.save({"images": torch.stack(images).cpu().numpy()}))
     return torch.from_numpy(safetensors.numpy.load_file(path)["images"])

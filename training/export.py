@@ -1,4 +1,4 @@
-"""Writes a trained network's weights in 8 bits, what was measured of it, and the cards of the model and of its data."""
+"""Writes a trained network's weights in 8 bits, its measurements, and the cards of the model and of its data."""
 
 import hashlib
 import json
@@ -92,9 +92,9 @@ def write(
 
 def architecture(name: str, classes: int, state: dict[str, Tensor]) -> nn.Module:
     """Returns the network with these weights, in evaluation."""
-    made: nn.Module = ARCHITECTURES[name](classes)
-    load_into(made, state)
-    return made.eval()
+    network: nn.Module = ARCHITECTURES[name](classes)
+    load_into(network, state)
+    return network.eval()
 
 
 def measured(answered: Tensor, images: Images, split: Split) -> dict[str, Any]:
@@ -136,11 +136,12 @@ def _command(name: str, trained: Trained) -> str:
 
 
 def _summary(facts: dict[str, Any]) -> str:
-    found = facts["held_out"]["accuracy"]
+    held_out = facts["held_out"]["accuracy"]
     before = facts["held_out_before_quantisation"]
     return (
-        f"{facts['name']}: held-out top-1 {100 * found['share']:.1f} ± {100 * found['standard_error']:.1f} % "
-        f"({found['right']} of {found['views']} views of {found['models']} models, {len(facts['labels'])} classes); "
+        f"{facts['name']}: held-out top-1 {100 * held_out['share']:.1f} ± {100 * held_out['standard_error']:.1f} % "
+        f"({held_out['right']} of {held_out['views']} views of {held_out['models']} models, "
+        f"{len(facts['labels'])} classes); "
         f"before quantisation {100 * before:.1f} %"
     )
 
@@ -151,9 +152,9 @@ PAPER = {"alexnet": 73.6, "resnet34": 79.4}
 
 
 def model_card(facts: dict[str, Any]) -> str:
-    """Returns the card of a trained network; `facts` is what `export` writes beside the weights."""
-    found, classes = facts["held_out"], len(facts["labels"])
-    total, before = found["accuracy"], facts["held_out_before_quantisation"]
+    """Returns the card of a trained network; `facts` are those that `export` writes beside the weights."""
+    held_out, classes = facts["held_out"], len(facts["labels"])
+    total, before = held_out["accuracy"], facts["held_out_before_quantisation"]
     title = TITLES[facts["architecture"]]
     lines = [
         f"# {facts['name']}",
@@ -172,7 +173,7 @@ def model_card(facts: dict[str, Any]) -> str:
         "",
         "| renderer | right | views | top-1 % | 95 % interval (Wilson) | ± (by model) |",
         "|---|---|---|---|---|---|",
-        *(_row(name, share) for name, share in found["by_renderer"].items()),
+        *(_row(name, share) for name, share in held_out["by_renderer"].items()),
         "",
         "The Wilson intervals take views as independent. Views of one model are not, so the intervals are too narrow; "
         "the last column does not make that assumption.",
@@ -181,7 +182,7 @@ def model_card(facts: dict[str, Any]) -> str:
         "",
         "| class | models | right | views | top-1 % | 95 % interval (Wilson) | ± (by model) |",
         "|---|---|---|---|---|---|---|",
-        *(_row(f"{name} | {share['models']}", share) for name, share in found["by_class"].items()),
+        *(_row(f"{name} | {share['models']}", share) for name, share in held_out["by_class"].items()),
         "",
         "## Confusion matrix",
         "",
@@ -191,7 +192,7 @@ def model_card(facts: dict[str, Any]) -> str:
         "|---" * (classes + 1) + "|",
         *(
             f"| {label} | " + " | ".join(map(str, row)) + " |"
-            for label, row in zip(facts["labels"], found["confusion"], strict=True)
+            for label, row in zip(facts["labels"], held_out["confusion"], strict=True)
         ),
         "",
         "## Training",
@@ -236,8 +237,8 @@ def data_card(split: Split, recipe: Recipe) -> str:
         "| kinds | probe's accuracy % | dropped | its recall % |",
         "|---|---|---|---|",
         *(
-            f"| {one.kinds} | {_percent(one.accuracy)} | {one.dropped} | {_percent(one.recall)} |"
-            for one in split.rounds
+            f"| {step.kinds} | {_percent(step.accuracy)} | {step.dropped} | {_percent(step.recall)} |"
+            for step in split.rounds
         ),
         "",
         "| class | training models | held-out models | probe's recall % |",

@@ -143,12 +143,12 @@ def make(library: Library, cache: Path, seed: int, command: str, say: Say) -> Sp
 
     grouped = families(catalogue, many, mesh)
     training, held_out = divided(grouped, seed)
-    found = features(library, training, cache / "training" / "views", say)
+    by_slug = features(library, training, cache / "training" / "views", say)
     of_family = {slug: group[0] for groups in grouped.values() for group in groups for slug in group}
     slugs = [(number, slug) for number, kind in enumerate(training) for slug in training[kind]]
     fold = {slug: number for kind in training.values() for slug, number in folds(of_family, kind).items()}
     samples = Samples(
-        torch.cat([found[slug] for _, slug in slugs]),
+        torch.cat([by_slug[slug] for _, slug in slugs]),
         torch.tensor([number for number, _ in slugs]).repeat_interleave(VIEWS),
         torch.tensor([fold[slug] for _, slug in slugs]).repeat_interleave(VIEWS),
     )
@@ -172,15 +172,15 @@ def features(library: Library, by_kind: Mapping[str, Sequence[str]], folder: Pat
     """Returns EfficientNet-Lite0's features [VIEWS, 1280] of each model in the torch renderer's default light."""
     teacher = load()
     table = environment_look(library, Environment(), "matte", ELEVATION)[None]
-    found = {}
+    by_slug = {}
     for kind, slugs in by_kind.items():
         for slug in slugs:
             say(f"looking at {kind} {slug}")
             drawn = views(library, PREFIX + slug, paper_cameras(VIEWS, SIZE), folder)
             at = np.arange(VIEWS)
             images = shade(drawn, table, plain(at, np.zeros_like(at)))
-            found[slug] = features_of(teacher, images)
-    return found
+            by_slug[slug] = features_of(teacher, images)
+    return by_slug
 
 
 STUDIO = 60
@@ -200,21 +200,21 @@ def families(
 
     `models` is the whole catalogue by slug, `by_kind` the slugs of each kind to be grouped, `mesh` loads a slug's mesh.
     """
-    made = Counter(model.creator for model in models.values())
-    found = {}
+    by_creator = Counter(model.creator for model in models.values())
+    grouped = {}
     for kind, slugs in by_kind.items():
         clouds = {slug: cKDTree(_cloud(mesh(slug))) for slug in slugs}
         parent = {slug: slug for slug in slugs}
         for a, b in combinations(slugs, 2):
             if _root(parent, a) == _root(parent, b):
                 continue
-            if _related(models[a], models[b], made) or _distance(clouds[a], clouds[b]) < NEARLY_EQUAL:
+            if _related(models[a], models[b], by_creator) or _distance(clouds[a], clouds[b]) < NEARLY_EQUAL:
                 parent[_root(parent, b)] = _root(parent, a)
         groups: dict[str, list[str]] = {}
         for slug in slugs:
             groups.setdefault(_root(parent, slug), []).append(slug)
-        found[kind] = sorted(groups.values(), key=lambda group: (-len(group), group))
-    return found
+        grouped[kind] = sorted(groups.values(), key=lambda group: (-len(group), group))
+    return grouped
 
 
 def stem(model: Model) -> str:
@@ -232,23 +232,23 @@ def distance(a: Doubles, b: Doubles) -> float:
 
 
 def _distance(a: cKDTree, b: cKDTree) -> float:
-    found = []
+    distances = []
     turned = np.asarray(b.data)
     back = np.asarray(a.data)
     for _ in range(4):
         some = float(a.query(turned[:: POINTS // FEW])[0].mean())
-        found.append(some)
+        distances.append(some)
         if some < 2 * NEARLY_EQUAL:
-            found[-1] = float(a.query(turned)[0].mean() + b.query(back)[0].mean()) / 2
+            distances[-1] = float(a.query(turned)[0].mean() + b.query(back)[0].mean()) / 2
         turned = np.stack([turned[:, 2], turned[:, 1], -turned[:, 0]], axis=1)
         back = np.stack([-back[:, 2], back[:, 1], back[:, 0]], axis=1)
-    return min(found)
+    return min(distances)
 
 
-def _related(a: Model, b: Model, made: Mapping[str, int]) -> bool:
+def _related(a: Model, b: Model, by_creator: Mapping[str, int]) -> bool:
     if a.creator != b.creator:
         return False
-    return made[a.creator] < STUDIO or (a.library == b.library and stem(a) == stem(b))
+    return by_creator[a.creator] < STUDIO or (a.library == b.library and stem(a) == stem(b))
 
 
 def _root(parent: Mapping[str, str], slug: str) -> str:
@@ -297,12 +297,12 @@ def folds(groups: Mapping[str, str], kind: Sequence[str]) -> dict[str, int]:
     for slug in kind:
         members.setdefault(groups[slug], []).append(slug)
     filled = [0] * FOLDS
-    found: dict[str, int] = {}
+    fold_of: dict[str, int] = {}
     for name in sorted(members, key=lambda name: (-len(members[name]), name)):
         fold = filled.index(min(filled))
         filled[fold] += len(members[name])
-        found |= dict.fromkeys(members[name], fold)
-    return found
+        fold_of |= dict.fromkeys(members[name], fold)
+    return fold_of
 
 
 def choose(

@@ -77,7 +77,7 @@ RECIPES = {
 
 @dataclass(frozen=True)
 class Budget:
-    """How long to train: exactly one of a number of minutes and a number of epochs is not None.
+    """Length of a training: exactly one of a number of minutes and a number of epochs is not None.
 
     With epochs a training is reproducible bit for bit. With minutes its schedule follows the clock, so that it ends in
     time whatever else the machine does.
@@ -102,7 +102,7 @@ REPORT_STEPS = 20
 
 @dataclass(frozen=True)
 class Data:
-    """What a network is trained on.
+    """Training data of a network.
 
     views: the views. labels: int64 [V], the class of each. looks: [T, GRID², 6]. default_looks: the same of the
     default scene. hints: float32 [V, F], the teacher's features of each view, or None.
@@ -117,7 +117,7 @@ class Data:
 
 @dataclass(frozen=True)
 class Report:
-    """Where a training is. rate: images per second of this process's run."""
+    """Progress of training. rate: images per second of this process's run."""
 
     step: int
     epoch: float
@@ -201,7 +201,7 @@ class Training:
 
     @cached_property
     def _about(self) -> dict[str, Any]:
-        """What a checkpoint must agree with."""
+        """Recipe, seed and number of views, which a checkpoint must match."""
         return {"recipe": asdict(self.recipe), "seed": self.seed, "views": len(self.data.labels)}
 
     def _load(self) -> None:
@@ -262,11 +262,11 @@ def network(recipe: Recipe, classes: int) -> nn.Module:
     """Returns the network of a recipe in the form in which it is trained, with random weights."""
     if recipe.network == "alexnet":
         return TrainableAlexNet(classes, recipe.dropout)
-    made = ResNet(classes)
-    for module in made.modules():
+    model = ResNet(classes)
+    for module in model.modules():
         if isinstance(module, nn.Conv2d):
             nn.init.kaiming_normal_(module.weight, mode="fan_out", nonlinearity="relu")
-    return made
+    return model
 
 
 @dataclass(frozen=True)
@@ -286,12 +286,12 @@ def load_trained(recipe: Recipe, classes: int, path: Path) -> Trained:
     if not path.exists():
         raise InvalidRequest("--out", f"there is no checkpoint {path}")
     state = torch.load(path, weights_only=True)
-    made = network(recipe, classes)
+    model = network(recipe, classes)
     learned = {name[2:]: value for name, value in state["learned"].items() if name.startswith("0.")}
-    made.load_state_dict(learned)
+    model.load_state_dict(learned)
     about = state["about"]
     return Trained(
-        made.eval(), Budget(**state["budget"]), about["seed"], state["step"], state["seconds"], about["views"]
+        model.eval(), Budget(**state["budget"]), about["seed"], state["step"], state["seconds"], about["views"]
     )
 
 

@@ -1,4 +1,4 @@
-"""Draws views of library meshes once and keeps what the shading of a view needs.
+"""Draws views of library meshes once and keeps the inputs of a view's shading.
 
 A view is drawn `MARGIN` times as large as the images made of it and keeps the field of view of the scene's camera in
 its middle, so that a random crop of it is a view with the object moved by a few pixels.
@@ -93,7 +93,7 @@ def views(library: Library, mesh: str, cameras: Sequence[Camera], folder: Path) 
     path = folder / f"{hashlib.sha256(named.encode()).hexdigest()[:32]}.safetensors"
     if path.exists():
         return _read(path)
-    drawn = joined([_packed(*one) for one in _draw(library, mesh, cameras)])
+    drawn = joined([_packed(*view) for view in _draw(library, mesh, cameras)])
     arrays = {name: getattr(drawn, name) for name in _ARRAYS} | {"side": np.array(drawn.side)}
     disk.write(path, safetensors.numpy.save(arrays))
     return drawn

@@ -45,12 +45,12 @@ def main() -> int:
     parser.add_argument("--log", type=Path, help="file for the log of the service; default: it is not kept")
     options = vars(parser.parse_args())
     out = options.pop("out")
-    found = run(Load(**options))
-    print(json.dumps(found, indent=1))
+    result = run(Load(**options))
+    print(json.dumps(result, indent=1))
     if out is not None:
         assert __doc__ is not None
-        save(out, __doc__, found.pop("backend"), options["seed"], cores=os.cpu_count(), **found)
-    return 0 if found["ok"] else 1
+        save(out, __doc__, result.pop("backend"), options["seed"], cores=os.cpu_count(), **result)
+    return 0 if result["ok"] else 1
 
 
 if __name__ == "__main__":

@@ -1,5 +1,5 @@
-"""What a run found: what became of its jobs, how they compare with undisturbed ones, how long they stood still, and
-from which step they went on. The client that asks goes on while the service dies and comes back.
+"""Counts of a run: the outcomes of its jobs, their differences from undisturbed ones, the time for which they stood
+still, and the step from which they went on. The client keeps asking while the service dies and comes back.
 """
 
 import hashlib
@@ -42,8 +42,8 @@ class Client:
 
     def job(self, job_id: str) -> dict[str, Any]:
         """A job with its result."""
-        found: dict[str, Any] = self._ask("GET", f"/v1/jobs/{job_id}").json()
-        return found
+        answer: dict[str, Any] = self._ask("GET", f"/v1/jobs/{job_id}").json()
+        return answer
 
     def cancel(self, job_id: str) -> None:
         """Asks a job to stop."""
@@ -51,15 +51,15 @@ class Client:
 
     def files(self, job_id: str) -> dict[str, str]:
         """The contents of a job's files by name: records as JSON without the times in them, others as their SHA-256."""
-        found = {}
+        contents = {}
         for item in self._ask("GET", f"/v1/jobs/{job_id}/artifacts").json()["items"]:
             name = item["name"]
             data = self._ask("GET", f"/v1/jobs/{job_id}/artifacts/{name}").content
             if name.endswith(".json"):
-                found[name] = json.dumps(without_times(json.loads(data)), sort_keys=True)
+                contents[name] = json.dumps(without_times(json.loads(data)), sort_keys=True)
             else:
-                found[name] = hashlib.sha256(data).hexdigest()
-        return found
+                contents[name] = hashlib.sha256(data).hexdigest()
+        return contents
 
     def _ask(self, method: str, path: str, **request: Any) -> httpx.Response:
         deadline = time.monotonic() + self._patience
@@ -67,16 +67,16 @@ class Client:
             try:
                 answer = self._http.request(method, path, **request)
             except httpx.TransportError as error:
-                said = type(error).__name__
+                problem = type(error).__name__
             else:
                 if answer.is_success:
                     return answer
-                said = str(answer.status_code)
+                problem = str(answer.status_code)
                 if answer.is_client_error:
-                    raise RuntimeError(f"{method} {path}: {said} {answer.text[:500]}")
-            self.errors[said] += 1
+                    raise RuntimeError(f"{method} {path}: {problem} {answer.text[:500]}")
+            self.errors[problem] += 1
             if time.monotonic() > deadline:
-                raise TimeoutError(f"{method} {path}: {said}")
+                raise TimeoutError(f"{method} {path}: {problem}")
             time.sleep(PAUSE)
 
 
@@ -84,10 +84,14 @@ def differences(one: Any, other: Any, where: str = "") -> list[str]:
     """The places where two records differ, each with both values."""
     if isinstance(one, dict) and isinstance(other, dict):
         names = sorted(one.keys() | other.keys())
-        return [said for name in names for said in differences(one.get(name), other.get(name), f"{where}.{name}")]
+        return [
+            difference
+            for name in names
+            for difference in differences(one.get(name), other.get(name), f"{where}.{name}")
+        ]
     if isinstance(one, list) and isinstance(other, list) and len(one) == len(other):
         pairs = enumerate(zip(one, other, strict=True))
-        return [said for n, (a, b) in pairs for said in differences(a, b, f"{where}.{n}")]
+        return [difference for n, (a, b) in pairs for difference in differences(a, b, f"{where}.{n}")]
     return [] if one == other else [f"{where}: {str(one)[:80]} not {str(other)[:80]}"]
 
 
@@ -99,8 +103,8 @@ def without_times(found: Any) -> Any:
 
 
 def counts(client: Client, record: Record, ids: list[str], undisturbed: list[dict[str, str]]) -> dict[str, Any]:
-    """What became of the submitted jobs `ids`, which are of the kinds of `undisturbed` in turn. "ok" is whether every
-    one has one result, with the files of its kind, and there is no other job.
+    """Counts the outcomes of the submitted jobs `ids`, which are of the kinds of `undisturbed` in turn. "ok" is whether
+    every job has one result, with the files of its kind, and there is no other job.
     """
     states: Counter[str] = Counter()
     failures: Counter[str] = Counter()
@@ -116,34 +120,36 @@ def counts(client: Client, record: Record, ids: list[str], undisturbed: list[dic
         ends = [event for event in record.jobs.events(job_id, 0, limit=10**6) if event.data.get("state") == "succeeded"]
         results += len(ends)
         if job["state"] == "succeeded":
-            said = _differences(client.files(job_id), undisturbed[number % len(undisturbed)])
-            identical += not said
-            if said:
-                different.append({"kind": number % len(undisturbed), "attempts": job["attempt"], "differences": said})
+            different_places = _differences(client.files(job_id), undisturbed[number % len(undisturbed)])
+            identical += not different_places
+            if different_places:
+                different.append(
+                    {"kind": number % len(undisturbed), "attempts": job["attempt"], "differences": different_places}
+                )
     recorded = _recorded(record)
-    wanted = len(ids) + len(undisturbed)
+    expected = len(ids) + len(undisturbed)
     return {
-        "ok": len(set(ids)) == len(ids) == identical == results and recorded == wanted,
+        "ok": len(set(ids)) == len(ids) == identical == results and recorded == expected,
         "jobs": len(ids),
         "states": dict(states),
         "failures": dict(failures),
         "identical to an undisturbed run": identical,
         "different": different,
         "results": results,
-        "jobs that nobody submitted": recorded - wanted,
+        "jobs that nobody submitted": recorded - expected,
         "attempts": dict(sorted(attempts.items())),
     }
 
 
-def _differences(found: dict[str, str], wanted: dict[str, str]) -> list[str]:
-    """Where a job's files differ from those of an undisturbed one, at most ten places of each file."""
-    said = []
-    for name in sorted(found.keys() | wanted.keys()):
-        if name.endswith(".json") and name in found and name in wanted:
-            said += differences(json.loads(found[name]), json.loads(wanted[name]), name)[:10]
-        elif found.get(name) != wanted.get(name):
-            said.append(name)
-    return said
+def _differences(files: dict[str, str], undisturbed: dict[str, str]) -> list[str]:
+    """Places at which a job's files differ from those of an undisturbed one, at most ten in each file."""
+    places = []
+    for name in sorted(files.keys() | undisturbed.keys()):
+        if name.endswith(".json") and name in files and name in undisturbed:
+            places += differences(json.loads(files[name]), json.loads(undisturbed[name]), name)[:10]
+        elif files.get(name) != undisturbed.get(name):
+            places.append(name)
+    return places
 
 
 def _recorded(record: Record) -> int:
@@ -152,12 +158,12 @@ def _recorded(record: Record) -> int:
 
 
 def recoveries(record: Record, ids: list[str], faults: list[Fault]) -> dict[str, Any]:
-    """How long the jobs stood still after faults of each kind, and from where they went on."""
+    """The times for which jobs stood still after faults of each kind, and the steps from which they went on."""
     return recovery([gap for job_id in ids for gap in gaps(record.jobs.events(job_id, 0, limit=10**6))], faults)
 
 
 HOLDING = ("worker.job_process", "worker.rq_worker", "supervisor", DATABASE, POSTMASTER, BACKEND)
-"""What a running job stands still without."""
+"""Processes without which a running job stands still."""
 NEAR = 1.0
 """Seconds by which the last report before a fault may lie after it: reports are written a moment later."""
 
@@ -179,7 +185,7 @@ class Gap:
 
 def gaps(events: Iterable[Event]) -> list[Gap]:
     """The gaps between the attempts of a job."""
-    found = []
+    all_gaps = []
     first: float | None = None
     last, reached = 0.0, 0
     waiting = False
@@ -188,13 +194,13 @@ def gaps(events: Iterable[Event]) -> list[Gap]:
         if event.kind == "progress" and event.data["phase"] != "loading":
             rows = event.data.get("rows") or [{"step": event.data["step"]}]
             if waiting and first is not None:
-                found.append(Gap(last, at, last - first, reached, rows[0]["step"]))
+                all_gaps.append(Gap(last, at, last - first, reached, rows[0]["step"]))
             if waiting or first is None:
                 first = at
             last, reached, waiting = at, rows[-1]["step"], False
         elif event.kind == "state" and event.data["state"] == "queued" and first is not None:
             waiting = True
-    return found
+    return all_gaps
 
 
 def recovery(found: Sequence[Gap], faults: Sequence[Fault]) -> dict[str, dict[str, float]]:
@@ -205,7 +211,7 @@ def recovery(found: Sequence[Gap], faults: Sequence[Fault]) -> dict[str, dict[st
     """
     hit: dict[str, list[tuple[Gap, float]]] = {}
     for gap in found:
-        within = [one for one in faults if one.target in HOLDING and gap.began - NEAR <= one.at <= gap.ended]
+        within = [fault for fault in faults if fault.target in HOLDING and gap.began - NEAR <= fault.at <= gap.ended]
         if len(within) == 1:
             [fault] = within
             hit.setdefault(f"{fault.kind} {fault.target}", []).append((gap, gap.ended - max(gap.began, fault.at)))

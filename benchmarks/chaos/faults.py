@@ -1,4 +1,4 @@
-"""The faults: what is killed or stopped next, and the doing of it."""
+"""Faults: chooses the processes to kill or stop, and kills or stops them."""
 
 import random
 import signal
@@ -10,16 +10,17 @@ import psutil
 from benchmarks.chaos.service import DATABASE, Database, Service
 
 RUNNING = ("worker.job_process", "worker.rq_worker")
-"""What runs jobs. They are hit while a job takes steps."""
+"""Processes that run jobs. They are hit while a job takes steps."""
 OTHERS = ("redis-server", "supervisor", "api.main", "services.jobs.warm_process")
-"""What else can die: modules of the service, a program that it runs, and the supervisor, which is started again."""
+"""Other processes that can die: modules of the service, a program that it runs, and the supervisor, which is started
+again."""
 PATIENCE = 30.0
 """Time in seconds to wait for a process that is to be hit: it may have been hit just before."""
 
 
 @dataclass(frozen=True)
 class Fault:
-    """What happened to which process, and when (POSIX time)."""
+    """A fault: its kind, its process and its time (POSIX)."""
 
     kind: str
     target: str
@@ -27,17 +28,17 @@ class Fault:
 
 
 def plan(kills: int, stops: int, seed: int, of_database: tuple[str, ...] = ()) -> list[tuple[str, str]]:
-    """Faults as (kind, target) in a random order, each target about as often as any other. `of_database` is what of the
-    database can be killed; it is always stopped as a whole.
+    """Faults as (kind, target) in a random order, each target about as often as any other. `of_database` names the
+    parts of the database that can be killed; it is always stopped as a whole.
     """
     draw = random.Random(seed)
-    found = []
+    faults = []
     for kind, count, database in (("kill", kills, of_database), ("stop", stops, (DATABASE,))):
         targets = (*RUNNING, *database, *OTHERS)
         order = [targets[number % len(targets)] for number in range(count)]
-        found += [(kind, target) for target in order]
-    draw.shuffle(found)
-    return found
+        faults += [(kind, target) for target in order]
+    draw.shuffle(faults)
+    return faults
 
 
 def hit(service: Service, database: Database, kind: str, target: str, draw: random.Random) -> Fault | None:

@@ -32,7 +32,7 @@ AHEAD = 3
 
 @dataclass(frozen=True)
 class Load:
-    """What a run does. Times in seconds; `stall` and `watchdog` are those after which what hangs is killed."""
+    """Settings of a run. Times in seconds; a process that hangs is killed after `stall` or `watchdog`."""
 
     jobs: int
     workers: int
@@ -50,7 +50,7 @@ class Load:
     """Time without any job ending after which the run has failed."""
     database: Literal["sqlite", "postgresql"] = "sqlite"
     log: Path | None = None
-    """Where the log of the service is kept."""
+    """Path of the service's log."""
 
 
 def run(load: Load) -> dict[str, Any]:
@@ -175,7 +175,7 @@ def _ended(engine: Engine) -> int:
 
 
 def _wait_for_a_step(engine: Engine) -> None:
-    """Waits until a job takes steps, so that a fault of what runs jobs meets one; not for long if there is none."""
+    """Waits until a job takes steps, so that a fault of their processes meets one; not for long if there is none."""
     deadline = time.monotonic() + PATIENCE
     while not _count(engine, Job.state == State.RUNNING, Job.phase == "attacking") and time.monotonic() < deadline:
         time.sleep(0.02)

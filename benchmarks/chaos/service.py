@@ -46,17 +46,17 @@ class Service:
             return []
         if target == "supervisor":
             return [psutil.Process(running.pid)] if running.poll() is None else []
-        found = []
+        living = []
         try:
             for process in psutil.Process(running.pid).children(recursive=True):
                 if _is(process, target):
-                    found.append(process)
+                    living.append(process)
         except psutil.NoSuchProcess:
             pass
-        return found
+        return living
 
     def end(self) -> None:
-        """Ends the service as Ctrl-C does, and then kills what is left of it."""
+        """Ends the service as Ctrl-C does, and then kills its remaining processes."""
         self._ending.set()
         self._manager.join()
         process = self._process
@@ -127,7 +127,7 @@ class Database(Protocol):
     """Its program and version."""
     url: str | None
     killed: tuple[str, ...]
-    """What of it can be killed."""
+    """Its parts that can be killed."""
 
     def kill(self, target: str, draw: random.Random) -> bool:
         """Kills one of `killed`. Returns whether there was one."""
@@ -189,8 +189,8 @@ class Postgresql:
     def kill(self, target: str, draw: random.Random) -> bool:
         """Kills the postmaster or, so that PostgreSQL ends all connections and recovers, the process of one of them."""
         running = self._server.processes()
-        found = running[:1] if target == POSTMASTER else [one for one in running if _serves(one)]
-        return bool(found) and _send(draw.choice(found), signal.SIGKILL)
+        victims = running[:1] if target == POSTMASTER else [process for process in running if _serves(process)]
+        return bool(victims) and _send(draw.choice(victims), signal.SIGKILL)
 
     def stop(self, draw: random.Random) -> None:  # noqa: ARG002 - the manager decides how long it lasts
         """Stops all its processes, as its machine may."""

@@ -20,18 +20,20 @@ def main() -> None:
     record.add_argument("folder", type=Path, help="the folder of `scene-attack campaign run`")
     record.add_argument("name", choices=NAMES, help="the name of the record")
     page = commands.add_parser("page", help="write the pages and their curves from the records")
-    for one in (record, page):
-        one.add_argument("--study", type=Path, default=FOLDER, help="folder of records and page (default docs/study)")
+    for command in (record, page):
+        command.add_argument(
+            "--study", type=Path, default=FOLDER, help="folder of records and page (default docs/study)"
+        )
     options = parser.parse_args()
     if options.command == "page":
         for path in write(options.study):
             print(path)
         return
-    made = of_folder(options.folder)
-    save(made, options.study / f"{options.name}.json")
+    study_record = of_folder(options.folder)
+    save(study_record, options.study / f"{options.name}.json")
     if options.name in WITH_EXAMPLES:
-        found = examples.of_record(made, options.name, options.folder, options.study)
-        examples.save(options.study, options.name, found)
+        chosen = examples.of_record(study_record, options.name, options.folder, options.study)
+        examples.save(options.study, options.name, chosen)
 
 
 if __name__ == "__main__":

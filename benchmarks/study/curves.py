@@ -118,7 +118,7 @@ def _within(series: Series, panel: Panel) -> list[tuple[float, float]]:
 
 
 def _place(value: float, ends: tuple[float, float], logarithmic: bool) -> float:
-    """Where a value is between the ends of an axis, in [0,1]."""
+    """Position of a value between the ends of an axis, in [0,1]."""
     low, high, value = (log10(v) if logarithmic else v for v in (*ends, value))
     return min(1.0, max(0.0, (value - low) / (high - low)))
 
@@ -142,7 +142,7 @@ def _powers(ends: tuple[float, float]) -> list[float]:
 
 
 def differentiable(record: Record, target: str) -> str:
-    """Of one network: successes against queries, successes against seconds, and the mean probability of the truth."""
+    """Panels of one network: successes against queries and seconds, and the mean probability of the truth."""
     cells, curves = _own(record, target)
     panels = (
         _success(cells, f"{title(target)}: success against queries", "queries", _reached(cells, "by_queries"), 1.0),
@@ -153,7 +153,7 @@ def differentiable(record: Record, target: str) -> str:
 
 
 def questions(record: Record, target: str) -> str:
-    """Of one network that answers questions, each attacked by itself: successes against steps, queries and p."""
+    """Panels of one network that answers questions, each attacked by itself: successes against steps, queries and p."""
     cells = [cell for cell in _own(record, target)[0] if cell.attack in attacks(record)]
     jobs = [job for job in record.jobs if job.target == target and job.success]
     own = {cell.attack: [job for job in jobs if job.attack == cell.attack] for cell in cells}
@@ -168,7 +168,7 @@ def questions(record: Record, target: str) -> str:
 
 
 def nondifferentiable(record: Record, target: str) -> str:
-    """Of one network: successes against queries, the mean advantage, and the mean distance, as the paper draws them."""
+    """Panels of one network, as in the paper: successes against queries, the mean advantage, and the mean distance."""
     cells, curves = _own(record, target)
     top = max((max(curve.advantage) for curve in curves), default=1.0)
     bottom = min(0.0, min((min(curve.advantage) for curve in curves), default=0.0))
@@ -193,16 +193,16 @@ def _reached(cells: Sequence[Cell], by: str) -> dict[str, Corners]:
 
 
 def _success(cells: Sequence[Cell], name: str, unit: str, reached: Mapping[str, Corners], start: float = 0.0) -> Panel:
-    """Successes against what they took. `start`: of a logarithmic axis; 0 for a linear one."""
+    """Successes against their cost. `start`: lower end of a logarithmic axis; 0 for a linear one."""
     largest = max((at for own in reached.values() for at, _ in own), default=10.0 * start) or 1.0
     lines = []
     for cell in cells:
         points = [(at, 100 * count / cell.success.of) for at, count in reached[cell.attack]]
         lines.append(Series(cell.attack, [(start, 0.0), *points], steps=True))
-    ends, said = (0.0, 1.05 * largest), unit
+    ends, label = (0.0, 1.05 * largest), unit
     if start:
-        ends, said = (start, max(largest * 1.1, 10 * start)), f"{unit} (logarithmic)"
-    return Panel(name, said, "verified, % of all cases", lines, ends, (0, 100), logarithmic=start > 0)
+        ends, label = (start, max(largest * 1.1, 10 * start)), f"{unit} (logarithmic)"
+    return Panel(name, label, "verified, % of all cases", lines, ends, (0, 100), logarithmic=start > 0)
 
 
 def _mean(curves: Sequence[MeanCurves], name: str, unit: str, of: str, ends: tuple[float, float]) -> Panel:

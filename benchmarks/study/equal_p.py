@@ -39,15 +39,15 @@ class Run:
 
 def runs(record: Record, target: str) -> list[Run]:
     """The runs on one network, in the order of the campaign. Raises ValueError for a column of another form of name."""
-    found = []
+    all_runs = []
     for attack in record.table().attacks:
         own = [job for job in record.jobs if (job.target, job.attack) == (target, attack) and job.right]
         name, between, limit = attack.rpartition(BETWEEN)
         if not between:
             raise ValueError(f"the column {attack!r} states no limit: <attack>{BETWEEN}<thousandths>")
         if own:
-            found.append(Run(name, float(limit), own))
-    return found
+            all_runs.append(Run(name, float(limit), own))
+    return all_runs
 
 
 def section(record: Record) -> str:

@@ -16,7 +16,7 @@ from benchmarks.study.record import Job, Record
 from services.pipeline.result import Result
 
 IMAGES = {"original": "before", "attacked": "attacked", "perturbation": "difference"}
-"""Names of a job's images, and what they are called beside the page."""
+"""Names of a job's images, and of their files beside the page."""
 PIXELS = "image"
 """Name of the column that attacks pixels, which has no example: its differences are noise."""
 
@@ -61,20 +61,20 @@ def median_success(jobs: Sequence[Job]) -> Job | None:
 
 def of_record(record: Record, name: str, folder: Path, out: Path) -> list[Example]:
     """Copies the images of each example out of a campaign's folder, and returns the examples."""
-    found: list[Example] = []
+    chosen: list[Example] = []
     table = record.table()
     for attack in table.attacks:
         by_target = ([job for job in record.jobs if (job.target, job.attack) == (t, attack)] for t in table.targets)
-        job = next((one for one in map(median_success, by_target) if one is not None), None)
+        job = next((candidate for candidate in map(median_success, by_target) if candidate is not None), None)
         if job is None or attack == PIXELS:
             continue
         [place] = (folder / "jobs").glob(f"{job.request}*[0-9a-f]")
         result = Result.model_validate_json((place / "result.json").read_bytes())
         # the attack's name is a text of the campaign, which need not be a file's name
-        called_so = f"{name}-{len(found) + 1}"
+        called_so = f"{name}-{len(chosen) + 1}"
         for image, called in IMAGES.items():
             shutil.copyfile(place / f"{image}.png", out / f"{called_so}-{called}.png")
-        found.append(
+        chosen.append(
             Example(
                 name=called_so,
                 campaign=name,
@@ -90,32 +90,32 @@ def of_record(record: Record, name: str, folder: Path, out: Path) -> list[Exampl
                 credits=tuple(result.provenance.credits),
                 questions=tuple(
                     Answered(
-                        question=one.text,
-                        before=str(one.before),
-                        before_confidence=one.before_confidence or 0.0,
-                        after=str(one.after),
-                        after_confidence=one.after_confidence or 0.0,
+                        question=question.text,
+                        before=str(question.before),
+                        before_confidence=question.before_confidence or 0.0,
+                        after=str(question.after),
+                        after_confidence=question.after_confidence or 0.0,
                     )
-                    for one in job.questions
+                    for question in job.questions
                 ),
             )
         )
-    return found
+    return chosen
 
 
 def load(folder: Path) -> list[Example]:
     """The examples of a folder; none if it has no examples.json."""
     path = folder / "examples.json"
-    return [Example.model_validate(one) for one in json.loads(path.read_text("utf-8"))] if path.exists() else []
+    return [Example.model_validate(example) for example in json.loads(path.read_text("utf-8"))] if path.exists() else []
 
 
 def save(folder: Path, campaign: str, examples: Sequence[Example]) -> None:
     """Writes examples.json with these examples in place of the campaign's earlier ones, whose images it deletes."""
-    kept = [one for one in load(folder) if one.campaign != campaign]
-    named = {f"{one.name}-{called}.png" for one in examples for called in IMAGES.values()}
+    kept = [example for example in load(folder) if example.campaign != campaign]
+    named = {f"{example.name}-{called}.png" for example in examples for called in IMAGES.values()}
     for path in folder.glob(f"{campaign}-*.png"):
         if path.name not in named:
             path.unlink()
-    whole = (one.model_dump(mode="json", exclude_defaults=True) for one in [*kept, *examples])
-    lines = [json.dumps(one, ensure_ascii=False) for one in whole]
+    whole = (example.model_dump(mode="json", exclude_defaults=True) for example in [*kept, *examples])
+    lines = [json.dumps(example, ensure_ascii=False) for example in whole]
     (folder / "examples.json").write_text("[\n" + ",\n".join(lines) + "\n]\n", "utf-8")

@@ -41,7 +41,7 @@ class Page:
         Raises FileNotFoundError if a record is missing.
         """
         records = {name: load(folder / f"{name}.json") for name in self.curves}
-        study = Study(records, [one for one in examples.load(folder) if one.campaign in self.with_examples])
+        study = Study(records, [example for example in examples.load(folder) if example.campaign in self.with_examples])
         text = Path(__file__).with_name(self.name).read_text("utf-8")
         for name, part in self.parts.items():
             mark = "{{" + name + "}}"
@@ -85,10 +85,10 @@ def shown(study: Study) -> str:
     if not study.examples:
         return ""
     rows = []
-    for one in study.examples:
-        images = (f"![{text}]({one.name}-{text}.png)" for text in examples.IMAGES.values())
-        rows.append([f"{image}<br>{note}" for image, note in zip(images, _notes(one), strict=True)])
-    creators = sorted({credit for one in study.examples for credit in one.credits})
+    for example in study.examples:
+        images = (f"![{text}]({example.name}-{text}.png)" for text in examples.IMAGES.values())
+        rows.append([f"{image}<br>{note}" for image, note in zip(images, _notes(example), strict=True)])
+    creators = sorted({credit for example in study.examples for credit in example.credits})
     table = "\n".join(
         "| " + " | ".join(cells) + " |"
         for cells in (("before", "attacked, rendered afresh", "difference ×5"), (":---:",) * 3, *rows)
@@ -96,13 +96,17 @@ def shown(study: Study) -> str:
     return f"{table}\n\n<small>{'; '.join(creators)}</small>" if creators else table
 
 
-def _notes(one: examples.Example) -> tuple[str, str, str]:
-    """What stands below the images of an example: the answers before, those after, and the attack."""
-    about = f"{tables.title(one.target)}, {one.attack}<br>p {1e3 * one.p:.1f}"
-    if not one.questions:
-        return f"{one.before}, {one.before_confidence:.0%}", f"**{one.after}**, {one.after_confidence:.0%}", about
-    before = (f"{asked.question} {asked.before}, {asked.before_confidence:.0%}" for asked in one.questions)
-    after = (f"**{asked.after}**, {asked.after_confidence:.0%}" for asked in one.questions)
+def _notes(example: examples.Example) -> tuple[str, str, str]:
+    """Notes below the images of an example: the answers before, those after, and the attack."""
+    about = f"{tables.title(example.target)}, {example.attack}<br>p {1e3 * example.p:.1f}"
+    if not example.questions:
+        return (
+            f"{example.before}, {example.before_confidence:.0%}",
+            f"**{example.after}**, {example.after_confidence:.0%}",
+            about,
+        )
+    before = (f"{asked.question} {asked.before}, {asked.before_confidence:.0%}" for asked in example.questions)
+    after = (f"**{asked.after}**, {asked.after_confidence:.0%}" for asked in example.questions)
     return "<br>".join(before), "<br>".join(after), about
 
 

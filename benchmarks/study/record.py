@@ -1,6 +1,6 @@
 """The compact record of a campaign that the study commits: one line for each job, the mean curves, and the provenance.
 
-Rates, means and counts are not in the record: the page computes them, from what each job came to.
+Rates, means and counts are not in the record: the page computes them from the outcome of each job.
 """
 
 import json
@@ -178,7 +178,7 @@ def load(path: Path) -> Record:
 def save(record: Record, path: Path) -> None:
     """Writes a record as JSON with a line for each job, so that a difference of two records can be read."""
     whole = record.model_dump(mode="json", exclude_defaults=True)
-    lines = {key: [json.dumps(one, ensure_ascii=False) for one in whole.pop(key)] for key in ("jobs", "curves")}
+    lines = {key: [json.dumps(row, ensure_ascii=False) for row in whole.pop(key)] for key in ("jobs", "curves")}
     parts = [f' "{key}": {json.dumps(value, ensure_ascii=False)}' for key, value in whole.items()]
     parts += [f' "{key}": [\n  ' + ",\n  ".join(values) + "\n ]" for key, values in lines.items()]
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -57,10 +57,10 @@ def of_folder(folder: Path) -> Record:
     """
     campaign = CampaignSpec.model_validate_json((folder / "campaign.json").read_bytes())
     whole = CampaignResult.model_validate_json((folder / "table.json").read_bytes())
-    found = views(campaign)
+    all_views = views(campaign)
     lines = (folder / "first_answers.jsonl").read_text("utf-8").splitlines()
-    answers = {one.view: one for one in map(FirstAnswer.model_validate_json, lines)}
-    every, planned = plan(campaign, found, answers)
+    answers = {answer.view: answer for answer in map(FirstAnswer.model_validate_json, lines)}
+    every, planned = plan(campaign, all_views, answers)
     chosen = [view.number for view in every if view.chosen]
     requests: list[str] = json.loads((folder / "jobs.json").read_text("utf-8"))
     results = [_result(folder, request) for request in requests]
@@ -73,10 +73,10 @@ def of_folder(folder: Path) -> Record:
         backends=tuple(sorted({result.provenance.backend for result in there})),
         weights={str(r.spec["target"]["name"]): r.provenance.weights_sha256 for r in there},  # type: ignore[index]
         credits=tuple(sorted({credit for result in there for credit in result.provenance.credits})),
-        views=_views(found, answers, chosen),
+        views=_views(all_views, answers, chosen),
         jobs=tuple(
             _job(job, request, result, answers[job.view]).model_copy(
-                update={"questions": asked(found[job.view].asked, result, folder / "jobs" / request)}
+                update={"questions": asked(all_views[job.view].asked, result, folder / "jobs" / request)}
             )
             for job, request, result in zip(planned, requests, results, strict=True)
         ),
@@ -140,19 +140,19 @@ def _subject(spec: JobSpec) -> str:
 
 
 def _lowered(result: Result) -> bool | None:
-    found = [row.objective for row in result.trace if row.objective is not None]
-    return min(found) < found[0] if found else None
+    objectives = [row.objective for row in result.trace if row.objective is not None]
+    return min(objectives) < objectives[0] if objectives else None
 
 
 def _covered(result: Result) -> dict[str, Any]:
     """The pixels that show an object and all pixels, if the plan says so."""
-    found = next((item for item in result.plan.items if item.what == "pixels"), None)
-    return {} if found is None else {"covered": found.kept, "pixels": found.of}
+    pixels = next((item for item in result.plan.items if item.what == "pixels"), None)
+    return {} if pixels is None else {"covered": pixels.kept, "pixels": pixels.of}
 
 
-def _views(found: list[View], answers: dict[int, FirstAnswer], chosen: list[int]) -> tuple[Views, ...]:
+def _views(all_views: list[View], answers: dict[int, FirstAnswer], chosen: list[int]) -> tuple[Views, ...]:
     groups: dict[tuple[str, str, tuple[int, int]], list[int]] = {}
-    for view in found:
+    for view in all_views:
         key = (view.probe.target.name, view.image_renderer, view.probe.scene.camera.size)
         groups.setdefault(key, []).append(view.number)
     rows = []
@@ -168,7 +168,7 @@ def _views(found: list[View], answers: dict[int, FirstAnswer], chosen: list[int]
                 asked=len(numbers),
                 right=sum(answer.right for answer in own),
                 chosen=len(taken),
-                meshes=len({_subject(found[number].probe) for number in taken}),
+                meshes=len({_subject(all_views[number].probe) for number in taken}),
                 least_confidence=_short(min(sure, default=None)),
             )
         )
@@ -189,7 +189,7 @@ def asked(questions: Sequence[QuestionRecord], result: Result | None, folder: Pa
 
     Raises ValueError if the network had another program than that of a question.
     """
-    found = []
+    rows = []
     for number, question in enumerate(questions):
         program, family, right = question.program, question.question_family_index, question.answer
         if program is None or family is None or right is None:
@@ -205,8 +205,8 @@ def asked(questions: Sequence[QuestionRecord], result: Result | None, folder: Pa
             about = _answered(about, program, result.questions[number])
             if about.fooled:
                 about = about.model_copy(update={"first": _first(number, program, result, folder)})
-        found.append(about)
-    return tuple(found)
+        rows.append(about)
+    return tuple(rows)
 
 
 def _answered(about: Asked, program: Program, came: QuestionResult) -> Asked:
@@ -235,7 +235,7 @@ def _first(number: int, program: Program, result: Result, folder: Path) -> int:
 
 
 def _cells(record: SceneRecord) -> list[int]:
-    return [ObjectTruth.of(one).cell for one in record.objects]
+    return [ObjectTruth.of(solid).cell for solid in record.objects]
 
 
 def _attacked(spec: JobSpec, folder: Path) -> SceneRecord:

@@ -37,8 +37,8 @@ SECONDS = (0.3, 1, 3, 10)
 @cache
 def paper() -> dict[str, Any]:
     """The figures that the paper states, with the place where it states them."""
-    found: dict[str, Any] = json.loads(Path(__file__).with_name("paper.json").read_text("utf-8"))
-    return found
+    figures: dict[str, Any] = json.loads(Path(__file__).with_name("paper.json").read_text("utf-8"))
+    return figures
 
 
 def markdown(columns: Iterable[str], rows: Iterable[Iterable[str]], texts: int = 1) -> str:
@@ -147,25 +147,30 @@ def work(records: Sequence[Record]) -> str:
                 shares += [share_at(cell.by_seconds, cell.success.of, budget) for budget in SECONDS]
                 name = f"**{title(target)}**" if number == 0 else ""
                 rows.append([name, cell.attack, str(cell.success.of), *(f"{100 * share:.0f}" for share in shares)])
-    heads = [f"{QUERIES[0]} queries", *map(str, QUERIES[1:]), f"{SECONDS[0]} s", *(f"{one:g} s" for one in SECONDS[1:])]
+    heads = [
+        f"{QUERIES[0]} queries",
+        *map(str, QUERIES[1:]),
+        f"{SECONDS[0]} s",
+        *(f"{limit:g} s" for limit in SECONDS[1:]),
+    ]
     return markdown(("network", "attack", "n", *heads), rows, texts=2)
 
 
 def views(records: Sequence[Record], of: str = "models") -> str:
-    """How many views were asked for, right, and attacked, and of how many models or scenes."""
+    """Numbers of views that were requested, right and attacked, and of their models or scenes."""
     rows = [
         [
-            title(one.target),
-            one.renderer,
-            f"{one.size[0]}²" if one.size[0] == one.size[1] else f"{one.size[0]}×{one.size[1]}",
-            str(one.asked),
-            f"{one.right} ({100 * one.right / one.asked:.0f} %)",
-            str(one.chosen),
-            str(one.meshes),
-            NONE if one.least_confidence is None else f"{100 * one.least_confidence:.0f} %",
+            title(row.target),
+            row.renderer,
+            f"{row.size[0]}²" if row.size[0] == row.size[1] else f"{row.size[0]}×{row.size[1]}",
+            str(row.asked),
+            f"{row.right} ({100 * row.right / row.asked:.0f} %)",
+            str(row.chosen),
+            str(row.meshes),
+            NONE if row.least_confidence is None else f"{100 * row.least_confidence:.0f} %",
         ]
         for record in records
-        for one in record.views
+        for row in record.views
     ]
     columns = ("network", "renderer", "size", "views asked for", "right", "attacked", of, "least confident")
     return markdown(columns, rows, texts=2)
@@ -290,9 +295,13 @@ def by_question(record: Record) -> str:
     """Success by kind of family, by kind of the answer, and by length of the program: a row for each that was asked."""
     rows = []
     for heading, of, values in (
-        ("family", lambda one: one.family, get_args(Kind)),
-        ("answer", lambda one: one.kind, tuple(KINDS)),
-        ("functions", lambda one: _length(len(one.functions)), tuple(map(_length, (*LONGEST, LONGEST[-1] + 1)))),
+        ("family", lambda question: question.family, get_args(Kind)),
+        ("answer", lambda question: question.kind, tuple(KINDS)),
+        (
+            "functions",
+            lambda question: _length(len(question.functions)),
+            tuple(map(_length, (*LONGEST, LONGEST[-1] + 1))),
+        ),
     ):
         block = [_asked_row(record, value, of) for value in values]
         block = [cells for cells in block if any(cell != NONE for cell in cells[1:])]
@@ -301,22 +310,22 @@ def by_question(record: Record) -> str:
 
 
 def left_kind(record: Record) -> str:
-    """How often a wrong answer after an attack is of another kind than is asked for, and some of these answers."""
-    rows, said = [], []
+    """Numbers of wrong answers after an attack that are of another kind than the question's, and some of them."""
+    rows, lines = [], []
     for attack in attacks(record):
         fooled = [job.questions[0] for job in alone(record) if job.attack == attack and job.success]
-        left = [one for one in fooled if one.of_kind is False]
-        to = Counter(kind_of(one.after) for one in left if one.after is not None)
+        left = [question for question in fooled if question.of_kind is False]
+        to = Counter(kind_of(question.after) for question in left if question.after is not None)
         rows.append(
             [attack, str(len(fooled)), str(len(left)), ", ".join(f"{kind} {n}" for kind, n in to.most_common()) or NONE]
         )
-        said += [f"- {attack}: “{one.text}” {one.right}, then **{one.after}**" for one in left]
+        lines += [f"- {attack}: “{question.text}” {question.right}, then **{question.after}**" for question in left]
     table = markdown(("attack", "fooled", "of another kind", "which"), rows)
-    return "\n\n".join([table, "\n".join(said[:SHOWN])]) if said else table
+    return "\n\n".join([table, "\n".join(lines[:SHOWN])]) if lines else table
 
 
 def fooled_first(record: Record) -> str:
-    """Of the fooled questions whose program has a group of functions, those in which one of it was fooled first."""
+    """Fooled questions whose program has a group of functions, and those in which one of the group was fooled first."""
     rows = []
     columns = {
         attack: [job.questions[0] for job in alone(record) if job.attack == attack and job.success]
@@ -330,8 +339,12 @@ def fooled_first(record: Record) -> str:
 
 
 def _first(name: str, fooled: Sequence[Asked]) -> str:
-    having = [one for one in fooled if name in map(group, one.functions)]
-    first = [one for one in having if one.first is not None and group(one.functions[one.first]) == name]
+    having = [question for question in fooled if name in map(group, question.functions)]
+    first = [
+        question
+        for question in having
+        if question.first is not None and group(question.functions[question.first]) == name
+    ]
     return f"{len(first)}{OF}{len(having)}" if having else NONE
 
 
@@ -367,16 +380,16 @@ def by_coverage(records: Sequence[Record]) -> str:
         for target in record.table().targets:
             jobs = [job for job in record.jobs if job.target == target and job.attack in COLUMNS and job.share]
             ranges = {(low, high): [job for job in jobs if low <= (job.share or 0.0) < high] for low, high in RANGES}
-            found = [[_range(low, high), *_covered_row(own)] for (low, high), own in ranges.items() if own]
-            rows += [[f"**{title(target)}**" if number == 0 else "", *row] for number, row in enumerate(found)]
+            covered = [[_range(low, high), *_covered_row(own)] for (low, high), own in ranges.items() if own]
+            rows += [[f"**{title(target)}**" if number == 0 else "", *row] for number, row in enumerate(covered)]
             broad = [job for job in jobs if (job.share or 0.0) >= ENOUGH]
             if broad:
                 sums.append(f"{title(target)} {' and '.join(f'{_rate(broad, name)} by {name}' for name in COLUMNS)}")
     if not rows:
         return NONE
     heads = ("network", "covered", "held", "views", *COLUMNS, "truncated")
-    said = f"Of the views with at least {100 * ENOUGH:.0f} % covered are fooled: {'; '.join(sums)}."
-    return f"{markdown(heads, rows, texts=3)}\n\n{said}"
+    summary = f"Of the views with at least {100 * ENOUGH:.0f} % covered are fooled: {'; '.join(sums)}."
+    return f"{markdown(heads, rows, texts=3)}\n\n{summary}"
 
 
 def by_confidence(records: Sequence[Record]) -> str:
@@ -417,7 +430,7 @@ def _rate(jobs: Sequence[Job], attack: str) -> str:
 
 
 def _pushed(held: Sequence[Job]) -> str:
-    """Of the views that held, the share of covered pixels with a value beyond U in some step: the median."""
+    """Median share of covered pixels with a value beyond U in some step, over the views that held."""
     return _middle((job.truncated or 0) / (job.covered or 1) for job in held)
 
 
@@ -431,5 +444,5 @@ def _far(jobs: Sequence[Job]) -> str:
 
 
 def _middle(shares: Iterable[float]) -> str:
-    found = list(shares)
-    return f"{100 * median_low(found):.0f}\u00a0%" if found else NONE
+    values = list(shares)
+    return f"{100 * median_low(values):.0f}\u00a0%" if values else NONE

@@ -1,4 +1,4 @@
-"""What a checkpoint can do on scenes that it was never trained on: from the text of a question to its answer."""
+"""Accuracy of a checkpoint on scenes outside its training: from the text of a question to its answer."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -47,18 +47,18 @@ class Share:
 def answers(engine: Engine, features: Tensor, examples: Sequence[Example], batch: int = 64) -> list[str]:
     """Returns the engine's answers, given the true programs; `features` as for `execute`."""
     engine.eval()
-    found: list[str] = []
+    words: list[str] = []
     for start in range(0, len(examples), batch):
         scores = execute(engine, features, examples[start : start + batch]).scores
-        found += [ANSWERS[number] for number in scores.argmax(1).tolist()]
-    return found
+        words += [ANSWERS[number] for number in scores.argmax(1).tolist()]
+    return words
 
 
 def by_family(examples: Sequence[Example], right: Sequence[bool]) -> dict[str, Share]:
     """Returns the shares of right answers overall and of each family, of one example at least."""
     families: dict[str, list[bool]] = {}
-    for example, one in zip(examples, right, strict=True):
-        families.setdefault(example.family, []).append(one)
+    for example, correct in zip(examples, right, strict=True):
+        families.setdefault(example.family, []).append(correct)
     return {name: Share(sum(of), len(of)) for name, of in [(OVERALL, right), *sorted(families.items())]}
 
 
@@ -68,8 +68,8 @@ AT_ONCE = 20
 
 @dataclass(frozen=True)
 class Outcome:
-    """A question and what came of it. group, renderer: of its scene. right: the answer is; program_right: the program
-    is the true one, function by function."""
+    """The outcome of a question. group, renderer: those of its scene. right: the answer is right. program_right: the
+    program is the true one, function by function."""
 
     example: Example
     group: str
@@ -79,8 +79,8 @@ class Outcome:
 
 
 def outcomes(checkpoint: Checkpoint, data: DataFolder, split: Split, said: Said) -> list[Outcome]:
-    """Returns what came of every question of a split."""
-    found: list[Outcome] = []
+    """Returns the outcome of every question of a split."""
+    rows: list[Outcome] = []
     pieces = data.pieces(split)
     for number, piece in enumerate(pieces):
         shard, part = data.read(piece), piece.part
@@ -88,9 +88,9 @@ def outcomes(checkpoint: Checkpoint, data: DataFolder, split: Split, said: Said)
         examples = list(examples_of([shard]))
         for example, (answer, program) in zip(examples, answered(checkpoint, shard, examples), strict=True):
             program_right = program is not None and to_prefix(program) == to_prefix(example.program)
-            found.append(Outcome(example, group, part.renderer, answer == example.answer, program_right))
+            rows.append(Outcome(example, group, part.renderer, answer == example.answer, program_right))
         said("answering questions", number + 1, len(pieces), "")
-    return found
+    return rows
 
 
 @torch.no_grad()
@@ -142,18 +142,18 @@ def figures(found: Sequence[Outcome]) -> dict[str, Any]:
 def disagreements(found: Mapping[str, Any], committed: Mapping[str, Any]) -> list[str]:
     """Returns a sentence for each share that is outside the committed 95 % interval, or that only one has."""
     ours, theirs = dict(_flat(found)), dict(_flat(committed))
-    said = [f"{name} is not in both" for name in sorted(set(ours) ^ set(theirs))]
+    messages = [f"{name} is not in both" for name in sorted(set(ours) ^ set(theirs))]
     for name in sorted(set(ours) & set(theirs)):
         low, high = theirs[name]["wilson"]
         if not low <= ours[name]["share"] <= high:
-            said.append(f"{name} is {ours[name]['share']:.4f}, not within {low:.4f} and {high:.4f}")
-    return said
+            messages.append(f"{name} is {ours[name]['share']:.4f}, not within {low:.4f} and {high:.4f}")
+    return messages
 
 
 def _flat(value: Mapping[str, Any], name: str = "") -> list[tuple[str, Mapping[str, Any]]]:
     if "wilson" in value:
         return [(name, value)]
-    return [one for key, of in value.items() for one in _flat(of, f"{name} {key}".strip())]
+    return [pair for key, of in value.items() for pair in _flat(of, f"{name} {key}".strip())]
 
 
 def _written(share: Share) -> dict[str, Any]:

@@ -75,10 +75,10 @@ class Shard:
 
 
 VERSION = 1
-"""Changes with what is drawn, so that data of an older version is not taken for it."""
+"""Version of the drawn data. Raise it with every change of the drawing, so that older data is not taken for new."""
 
 Said = Callable[[str, float, float, str], None]
-"""Is told what is being done, how much of it is done, the total, and perhaps some figures."""
+"""A function that gets the name of a step, the amount done, the total, and a text, which may be empty."""
 
 
 @dataclass(frozen=True)
@@ -123,8 +123,8 @@ class DataFolder:
         total = sum(piece.count for piece in pieces)
         done = sum(piece.count for piece in pieces if self.path(piece).exists())
         missing = [piece for piece in pieces if not self.path(piece).exists()]
-        with closing(each(partial(self._drawn, library=library), missing, processes, over)) as made:
-            for piece, shard in made:
+        with closing(each(partial(self._drawn, library=library), missing, processes, over)) as drawn:
+            for piece, shard in drawn:
                 write_shard(self.path(piece), shard, self._about(piece))
                 done += piece.count
                 said("drawing scenes", done, total, f"{done:,} of {total:,}, {piece.part.renderer}")
@@ -132,8 +132,8 @@ class DataFolder:
 
     def digest(self, split: Split) -> str:
         """Returns the digest of a split: that of its shards' digests. Raises InvalidRequest("--out") for a bad one."""
-        found = [shard_digest(self.path(piece), self._about(piece)) for piece in self.pieces(split)]
-        return hashlib.sha256("".join(found).encode()).hexdigest()
+        digests = [shard_digest(self.path(piece), self._about(piece)) for piece in self.pieces(split)]
+        return hashlib.sha256("".join(digests).encode()).hexdigest()
 
     def read(self, piece: Piece) -> Shard:
         """Reads the shard of a piece. Raises InvalidRequest("--out") if it is damaged or of other settings."""
@@ -177,7 +177,7 @@ class Images:
     """The images of shards, by their number in all of them."""
 
     def __init__(self, of: Sequence[Shard]) -> None:
-        self._places = [(one, number) for one in of for number in range(len(one))]
+        self._places = [(shard, number) for shard in of for number in range(len(shard))]
 
     def __len__(self) -> int:
         return len(self._places)
@@ -185,22 +185,22 @@ class Images:
     def __call__(self, chosen: Sequence[int] | NDArray[np.int64]) -> NDArray[np.uint8]:
         """Returns images, uint8 [n, 240, 320, 3]. Raises InvalidRequest("--out") for one that cannot be read."""
         try:
-            return np.stack([one.image(number) for one, number in (self._places[k] for k in chosen)])
+            return np.stack([shard.image(number) for shard, number in (self._places[k] for k in chosen)])
         except OSError as error:
             raise InvalidRequest("--out", f"an image of the data cannot be read: {error}") from error
 
 
 def objects_of(of: Sequence[Shard]) -> list[tuple[ObjectTruth, ...]]:
     """Returns the objects of each scene."""
-    return [tuple(ObjectTruth.of(record) for record in scene.objects) for one in of for scene in one.scenes]
+    return [tuple(ObjectTruth.of(record) for record in scene.objects) for shard in of for scene in shard.scenes]
 
 
 def examples_of(of: Sequence[Shard]) -> Iterator[Example]:
     """Yields the questions as examples; their images are numbered as in `Images`."""
-    starts = accumulate((len(one) for one in of), initial=0)
-    for one, start in zip(of, starts, strict=False):
-        facts = {scene.image_index: (start + k, Facts.of(scene)) for k, scene in enumerate(one.scenes)}
-        for question in one.questions:
+    starts = accumulate((len(shard) for shard in of), initial=0)
+    for shard, start in zip(of, starts, strict=False):
+        facts = {scene.image_index: (start + k, Facts.of(scene)) for k, scene in enumerate(shard.scenes)}
+        for question in shard.questions:
             number, known = facts[question.image_index]
             yield Example.of(number, question, known)
 
@@ -261,14 +261,14 @@ def varied(scene: Scene, random: np.random.Generator) -> Scene:
     ]
     environment = lights.environment.model_copy(update={"rotation": float(random.uniform(-pi, pi))})
     objects = [
-        one.model_copy(
+        solid.model_copy(
             update={
-                "color": tuple(near(channel, TINTED) for channel in one.color),
-                "roughness": near(one.roughness or 0.0, ROUGHER),
-                "metallic": near(one.metallic or 0.0, ROUGHER / 2),
+                "color": tuple(near(channel, TINTED) for channel in solid.color),
+                "roughness": near(solid.roughness or 0.0, ROUGHER),
+                "metallic": near(solid.metallic or 0.0, ROUGHER / 2),
             }
         )
-        for one in scene.objects
+        for solid in scene.objects
     ]
     return scene.model_copy(
         update={
@@ -297,7 +297,7 @@ def shard(scenes: Sequence[SceneRecord], questions: Sequence[QuestionRecord], im
 
 
 def write_shard(path: Path, made: Shard, about: str) -> None:
-    """Writes a shard and, for `read` and `digest` to compare, what it is about."""
+    """Writes a shard and the text `about`, which `read` and `digest` compare."""
     arrays: dict[str, NDArray[Any]] = {"png": made.png, "ends": made.ends}
     metadata = made.written | {"about": about}
     data = safetensors.numpy.save(arrays, metadata | {"sha256": _digest(arrays, metadata)})
@@ -318,11 +318,11 @@ def read_shard(path: Path, about: str) -> Shard:
     return Shard(arrays["png"], arrays["ends"], {name: metadata[name] for name in ("scenes", "questions")})
 
 
-def _opened(path: Path, about: str, wanted: Sequence[str]) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:
+def _opened(path: Path, about: str, names: Sequence[str]) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:
     try:
         with safe_open(path, framework="np") as file:
             metadata = dict(file.metadata() or {})
-            arrays = {name: file.get_tensor(name) for name in wanted}
+            arrays = {name: file.get_tensor(name) for name in names}
     except (SafetensorError, OSError) as error:
         raise _damaged(path, str(error)) from error
     if missing := {"scenes", "questions", "about", "sha256"} - set(metadata):
@@ -347,10 +347,10 @@ def _damaged(path: Path, why: str) -> InvalidRequest:
 
 
 def _digest(arrays: dict[str, NDArray[Any]], metadata: dict[str, str]) -> str:
-    found = hashlib.sha256(json.dumps(metadata, sort_keys=True).encode())
+    digest = hashlib.sha256(json.dumps(metadata, sort_keys=True).encode())
     for name in sorted(arrays):
-        found.update(np.ascontiguousarray(arrays[name]).data)
-    return found.hexdigest()
+        digest.update(np.ascontiguousarray(arrays[name]).data)
+    return digest.hexdigest()
 
 
 def _png(image: Bytes) -> bytes:

@@ -37,11 +37,11 @@ class Draw:
 
     def __init__(self, examples: Sequence[Example], batch: int, per_image: int = 4):
         """Prepares batches of `batch` examples, about `per_image` of them on each image."""
-        order = sorted(range(len(examples)), key=lambda one: examples[one].image)
-        self._images = np.array([examples[one].image for one in order])
+        order = sorted(range(len(examples)), key=lambda index: examples[index].image)
+        self._images = np.array([examples[index].image for index in order])
         self._order = np.array(order)
-        self._chances = chances([examples[one] for one in order])
-        self._lengths = np.array([len(examples[one].program.nodes) for one in order])
+        self._chances = chances([examples[index] for index in order])
+        self._lengths = np.array([len(examples[index].program.nodes) for index in order])
         self._batch, self._per_image = min(batch, len(examples)), per_image
 
     def __call__(self, progress: float, random: np.random.Generator) -> list[int]:
@@ -49,12 +49,12 @@ class Draw:
         weights = self._chances * (self._lengths <= self.longest(progress))
         n_first = min(self._n_images, int(np.count_nonzero(weights)))
         first = random.choice(len(weights), n_first, replace=False, p=weights / weights.sum())
-        wanted = np.zeros(self._images[-1] + 1, np.bool_)
-        wanted[self._images[first]] = True
-        there = np.flatnonzero(wanted[self._images] & (weights > 0))
+        of_chosen_images = np.zeros(self._images[-1] + 1, np.bool_)
+        of_chosen_images[self._images[first]] = True
+        there = np.flatnonzero(of_chosen_images[self._images] & (weights > 0))
         own = weights[there] / weights[there].sum()
         chosen = random.choice(there, min(self._batch, len(there)), replace=False, p=own)
-        return [int(one) for one in self._order[np.sort(chosen)]]
+        return [int(index) for index in self._order[np.sort(chosen)]]
 
     def longest(self, progress: float) -> float:
         """Returns the most nodes of a program that is drawn at a progress in [0, 1]."""
@@ -85,8 +85,8 @@ def engine_step(
     draw = Draw(examples, batch)
 
     def step(progress: float, random: np.random.Generator) -> tuple[Tensor, dict[str, float]]:
-        chosen = [examples[one] for one in draw(progress, random)]
-        loss = engine_loss(execute(engine, features, chosen), chosen, [cells[one.image] for one in chosen])
+        chosen = [examples[index] for index in draw(progress, random)]
+        loss = engine_loss(execute(engine, features, chosen), chosen, [cells[example.image] for example in chosen])
         return loss.total, loss.parts()
 
     return step
@@ -142,7 +142,7 @@ def engine_loss(execution: Execution, examples: Sequence[Example], cells: Sequen
                 words.append(result)
             elif node.function not in ("scene", "unique"):  # the mask of `unique` is its input's
                 maps.append(slot)
-                objects.append([of_image[one] for one in result])
+                objects.append([of_image[index] for index in result])
     scores = execution.scores
     candidates = execution.candidates
     masks = mask_loss(candidates.scene[list(scenes)], occupancy(list(scenes.values()), scores))
@@ -158,9 +158,11 @@ def engine_loss(execution: Execution, examples: Sequence[Example], cells: Sequen
 
 def occupancy(cells: Sequence[Sequence[int]], like: Tensor) -> Tensor:
     """Returns [n, 300], which is 1 at the given cells of each row and 0 elsewhere."""
-    made = like.new_zeros(len(cells), N_CELLS)
-    made[[row for row, of_row in enumerate(cells) for _ in of_row], [cell for of_row in cells for cell in of_row]] = 1.0
-    return made
+    occupied = like.new_zeros(len(cells), N_CELLS)
+    occupied[
+        [row for row, of_row in enumerate(cells) for _ in of_row], [cell for of_row in cells for cell in of_row]
+    ] = 1.0
+    return occupied
 
 
 def mask_loss(logits: Tensor, truth: Tensor) -> Tensor:

@@ -1,4 +1,4 @@
-"""What the parts of IEP are trained on: objects in images, and questions with the true result of every node."""
+"""Training data of the parts of IEP: objects in images, and questions with the true result of every node."""
 
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,4 +1,4 @@
-"""Writes the checkpoint of a finished training, what was measured of it, and the cards of the model and of its data;
+"""Writes the checkpoint of a finished training, its measurements, and the cards of the model and of its data;
 measures a checkpoint again.
 """
 
@@ -50,7 +50,7 @@ def write(stages: Stages, out: Path, command: str, said: Said) -> Written:
     checkpoint = load(weights)
     validation = checking.outcomes(checkpoint, stages.data, "validation", said)
     before = checking.figures(checking.outcomes(Checkpoint(network, generator), stages.data, "test", said))
-    found = checking.figures(checking.outcomes(checkpoint, stages.data, "test", said))
+    checks = checking.figures(checking.outcomes(checkpoint, stages.data, "test", said))
     facts = {
         "name": NAME,
         "sha256": hashlib.sha256(data).hexdigest(),
@@ -63,10 +63,10 @@ def write(stages: Stages, out: Path, command: str, said: Said) -> Written:
         "torch": torch.__version__,
         "python": platform.python_version(),
         "validation": checking.figures(validation),
-        "check": found,
+        "check": checks,
         "before_quantisation": {group: of[OVERALL]["share"] for group, of in before["answers"].items()},
     }
-    written = Written(weights, out / f"{NAME}.json", out / f"{NAME}.md", out / "clevr-views.md", table(found))
+    written = Written(weights, out / f"{NAME}.json", out / f"{NAME}.md", out / "clevr-views.md", table(checks))
     disk.write(written.facts, (json.dumps(facts, indent=1) + "\n").encode())
     disk.write(written.card, model_card(facts).encode())
     disk.write(written.data_card, data_card(facts).encode())
@@ -75,7 +75,7 @@ def write(stages: Stages, out: Path, command: str, said: Said) -> Written:
 
 @dataclass(frozen=True)
 class Checked:
-    """What a checkpoint does on the test scenes, as a table, and where that differs from the committed figures."""
+    """A checkpoint's results on the test scenes, as a table, and their differences from the committed figures."""
 
     summary: str
     disagreements: list[str]
@@ -95,13 +95,13 @@ def check(
         checkpoint = load(weights)
     except ValueError as error:
         raise InvalidRequest("--weights", str(error)) from error
-    given = facts["recipe"]
-    recipe = replace(RECIPE, shares=given["shares"], scenes=given["scenes"], questions=given["questions"])
+    trained = facts["recipe"]
+    recipe = replace(RECIPE, shares=trained["shares"], scenes=trained["scenes"], questions=trained["questions"])
     data = DataFolder(folder / "data", recipe, facts["seed"])
     if not data.draw_missing(("test",), library, said, over, processes):
         return None
-    found = checking.figures(checking.outcomes(checkpoint, data, "test", said))
-    return Checked(table(found), checking.disagreements(found, facts["check"]))
+    checks = checking.figures(checking.outcomes(checkpoint, data, "test", said))
+    return Checked(table(checks), checking.disagreements(checks, facts["check"]))
 
 
 def _facts(weights: Path, out: Path) -> dict[str, Any]:
@@ -144,10 +144,10 @@ def table(check: dict[str, Any]) -> str:
 
 
 def model_card(facts: dict[str, Any]) -> str:
-    """Returns the card of the trained network; `facts` is what `export` writes beside the weights."""
+    """Returns the card of the trained network; `facts` are those that `export` writes beside the weights."""
     check = facts["check"]
     overall = {group: of[OVERALL] for group, of in check["answers"].items()}
-    said = " and ".join(f"{_percent(share['share'])} % with {group} objects" for group, share in overall.items())
+    shares = " and ".join(f"{_percent(share['share'])} % with {group} objects" for group, share in overall.items())
     before = " and ".join(f"{_percent(share)} %" for share in facts["before_quantisation"].values())
     scenes = facts["recipe"]["scenes"]["train"]
     minutes = ", ".join(f"{name} {of:g}" for name, of in facts["minutes"].items())
@@ -159,8 +159,8 @@ def model_card(facts: dict[str, Any]) -> str:
         "the program into a network over the features of the image. Trained from random weights on scenes drawn by "
         "the renderers that attack it.",
         "",
-        f"**Right answers: {said}**, from the text of the question to the answer, on scenes that played no part in the "
-        f"training. Before the weights were rounded to 8 bits: {before}. The programs are right in "
+        f"**Right answers: {shares}**, from the text of the question to the answer, on scenes that played no part in "
+        f"the training. Before the weights were rounded to 8 bits: {before}. The programs are right in "
         f"{_percent(check['programs']['share'])} % ({check['programs']['right']:,} of {check['programs']['of']:,}).",
         "",
         f"The published network reaches {PAPER} % on CLEVR's own test set, other scenes and questions than these, so "

@@ -25,11 +25,11 @@ AT_ONCE = 20
 def features_of(trunk: Trunk, shard: Shard) -> Tensor:
     """Returns a frozen trunk's features of the images of a shard, [n, 96, 15, 20] in half precision."""
     images = Images([shard])
-    found = []
+    batches = []
     for start in range(0, len(images), AT_ONCE):
         shown = images(range(start, min(start + AT_ONCE, len(images))))
-        found.append(trunk(from_bytes(torch.from_numpy(shown))).half())
-    return torch.cat(found).contiguous()
+        batches.append(trunk(from_bytes(torch.from_numpy(shown))).half())
+    return torch.cat(batches).contiguous()
 
 
 def digest_of(trunk: Trunk) -> str:
@@ -58,11 +58,11 @@ def write_missing(
 
 def read_all(folder: Path, data: DataFolder, split: Split) -> Tensor:
     """Returns the features of all images of a split, float16 [V, 96, 15, 20]."""
-    found = []
+    shards = []
     for piece in data.pieces(split):
         with safe_open(folder / data.path(piece).name, framework="pt") as file:
-            found.append(file.get_tensor("features"))
-    return torch.cat(found)
+            shards.append(file.get_tensor("features"))
+    return torch.cat(shards)
 
 
 def _about(path: Path) -> str:

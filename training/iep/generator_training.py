@@ -26,8 +26,8 @@ def generator_step(
 
     def step(_: float, random: np.random.Generator) -> tuple[Tensor, dict[str, float]]:
         chosen = random.choice(len(examples), min(batch, len(examples)), replace=False)
-        tokens = torch.nn.utils.rnn.pad_sequence([programs[one] for one in chosen], True, PADDING)
-        scores = generator([questions[one] for one in chosen], tokens.clamp_min(0))
+        tokens = torch.nn.utils.rnn.pad_sequence([programs[index] for index in chosen], True, PADDING)
+        scores = generator([questions[index] for index in chosen], tokens.clamp_min(0))
         loss = F.cross_entropy(scores.flatten(0, 1), tokens.flatten(), ignore_index=PADDING)
         return loss, {"tokens": float(loss.detach())}
 
@@ -40,6 +40,6 @@ def right_programs(generator: ProgramGenerator, examples: Sequence[Example], bat
     right = []
     for start in range(0, len(examples), batch):
         some = examples[start : start + batch]
-        for example, found in zip(some, generator.generate([one.text for one in some]), strict=True):
-            right.append(not isinstance(found, InvalidRequest) and to_prefix(found) == to_prefix(example.program))
+        for example, program in zip(some, generator.generate([item.text for item in some]), strict=True):
+            right.append(not isinstance(program, InvalidRequest) and to_prefix(program) == to_prefix(example.program))
     return right

@@ -24,7 +24,7 @@ REPORT_STEPS = 50
 
 @dataclass(frozen=True)
 class Schedule:
-    """How a part is trained.
+    """Settings of the training of a part.
 
     rate: the peak learning rate. warm_up: the share of the steps in which it rises. decay: AdamW's weight decay of
     matrices. clip: the largest norm of a gradient.
@@ -46,7 +46,7 @@ class Schedule:
 
 @dataclass(frozen=True)
 class Report:
-    """Where a training is. losses: means over the steps since the last report. rate: steps per second of this run."""
+    """Progress of training. losses: means over the steps since the last report. rate: steps per second of this run."""
 
     step: int
     of: int
@@ -64,7 +64,7 @@ class TrainingLoop:
     def __init__(
         self, name: str, module: nn.Module, schedule: Schedule, loss: Step, seed: int, path: Path, data: str = ""
     ):
-        """Begins, or goes on from the checkpoint at `path` if there is one. data: the digest of what is trained on.
+        """Begins, or goes on from the checkpoint at `path` if there is one. data: the digest of the training data.
 
         Raises InvalidRequest("--out") if that checkpoint is damaged, or of another part, schedule, seed or data.
         """
@@ -94,7 +94,7 @@ class TrainingLoop:
             now = time.monotonic()
             self.seconds, last = self.seconds + now - last, now
             if self.step % REPORT_STEPS == 0:
-                means = {name: float(np.mean([one[name] for one in losses])) for name in losses[0]}
+                means = {name: float(np.mean([row[name] for row in losses])) for name in losses[0]}
                 said(Report(self.step, self.schedule.steps, means, (self.step - first) / (now - began)))
                 losses = []
             if now - saved > CHECKPOINT_SECONDS:

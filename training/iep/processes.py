@@ -35,7 +35,7 @@ def each(
     """Yields each item with its result as soon as that is there; begins no further item once it is `over`.
 
     Of two processes and more, each computes one item at a time; `function`, items and results are pickled. Close the
-    iterator to end them early. Raises JobFailure("worker-lost") if one of them dies, and what `function` raises.
+    iterator to end them early. Raises JobFailure("worker-lost") if one of them dies, and the errors of `function`.
     """
     count = min(processes, len(items))
     if count < 2:

@@ -1,4 +1,4 @@
-"""How IEP is trained: the scenes of each split and who draws them, the questions, and the schedule of each part."""
+"""The training of IEP: the scenes of each split and their renderers, the questions, and the schedule of each part."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace

@@ -81,9 +81,9 @@ class Stages:
 
         def step() -> Step:
             of = data.read_all("train")
-            examples, cells = list(examples_of(of)), [[one.cell for one in scene] for scene in objects_of(of)]
-            found = features.read_all(self._features, data, "train")
-            return engine_step(engine, found, examples, cells, recipe.engine_batch)
+            examples, cells = list(examples_of(of)), [[truth.cell for truth in scene] for scene in objects_of(of)]
+            inputs = features.read_all(self._features, data, "train")
+            return engine_step(engine, inputs, examples, cells, recipe.engine_batch)
 
         return self._train("engine", engine, recipe.engine, step, features.digest_of(trunk))
 

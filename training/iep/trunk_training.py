@@ -1,6 +1,6 @@
 """Trains the trunk to find objects' centres and attributes in its features; the heads for it are then thrown away.
 
-Where objects are and what they look like is known of rendered scenes, and all that a question can ask depends on it.
+The places and attributes of objects are known in rendered scenes, and every question depends on them alone.
 The trunk is shown some images mirrored, and all of them brighter or darker and tinted.
 """
 
@@ -38,8 +38,8 @@ class ObjectFinder(nn.Module):
 
     def forward(self, images: Tensor) -> Tensor:
         """Maps images [B, 240, 320, 3] in [0,1] to [B, 300, 18], in the order of the class's description."""
-        found: Tensor = self.head(self.trunk(images).flatten(2)).transpose(1, 2)
-        return found
+        scores: Tensor = self.head(self.trunk(images).flatten(2)).transpose(1, 2)
+        return scores
 
 
 def hand_over(finder: ObjectFinder, engine: Engine) -> None:
@@ -68,24 +68,24 @@ class Truth:
     @classmethod
     def of(cls, objects: Sequence[Sequence[ObjectTruth]]) -> "Truth":
         """The objects of each image, one at least in all."""
-        every = [(image, one) for image, of_image in enumerate(objects) for one in of_image]
-        values = [[ATTRIBUTES[name].index(one.attributes[name]) for name in ATTRIBUTES] for _, one in every]
+        every = [(image, solid) for image, of_image in enumerate(objects) for solid in of_image]
+        values = [[ATTRIBUTES[name].index(solid.attributes[name]) for name in ATTRIBUTES] for _, solid in every]
         width = GRID[1]
         places = [
-            (one.row / STRIDE - one.cell // width - 0.5, one.column / STRIDE - one.cell % width - 0.5)
-            for _, one in every
+            (solid.row / STRIDE - solid.cell // width - 0.5, solid.column / STRIDE - solid.cell % width - 0.5)
+            for _, solid in every
         ]
         return cls(
-            occupancy([[one.cell for one in of_image] for of_image in objects], torch.zeros(())),
+            occupancy([[solid.cell for solid in of_image] for of_image in objects], torch.zeros(())),
             torch.tensor([image for image, _ in every]),
-            torch.tensor([one.cell for _, one in every]),
+            torch.tensor([solid.cell for _, solid in every]),
             torch.tensor(values),
             torch.tensor(places).clamp(-0.5, 0.5),
         )
 
 
 def trunk_loss(found: Tensor, truth: Truth) -> tuple[Tensor, dict[str, float]]:
-    """Returns the loss of what was found, [B, 300, 18], and its parts."""
+    """Returns the loss of the scores `found` [B, 300, 18], and its parts."""
     there = found[truth.images, truth.cells]
     attributes = sum(
         F.cross_entropy(scores, truth.values[:, place]) for place, scores in enumerate(_by_attribute(there))
@@ -128,8 +128,8 @@ def trunk_step(
     def step(_: float, random: np.random.Generator) -> tuple[Tensor, dict[str, float]]:
         images, objects = views(random.choice(n_scenes, min(batch, n_scenes), replace=False), random)
         with torch.autocast(images.device.type, dtype=torch.bfloat16):
-            found = module(images)
-        return trunk_loss(found.float(), Truth.of(objects))
+            scores = module(images)
+        return trunk_loss(scores.float(), Truth.of(objects))
 
     return step
 
@@ -165,4 +165,4 @@ class AugmentedViews:
 
 def mirrored(objects: Sequence[ObjectTruth]) -> list[ObjectTruth]:
     """Returns the objects of an image whose left and right are exchanged."""
-    return [replace(one, column=IMAGE[1] - one.column) for one in objects]
+    return [replace(solid, column=IMAGE[1] - solid.column) for solid in objects]
