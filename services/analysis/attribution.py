@@ -173,8 +173,8 @@ def of_coordinates(
             tick(asked, most)
             asked += 1
             logits = verifier.logits(verifier.image(_only(perturbation, parts, chosen)))
-        said = answer(logits, verifier.target.labels, goal)
-        return torch.tensor([goal_log_odds(logits, goal), said.goal_probability], dtype=torch.float64)
+        network_answer = answer(logits, verifier.target.labels, goal)
+        return torch.tensor([goal_log_odds(logits, goal), network_answer.goal_probability], dtype=torch.float64)
 
     names = [part.name for part in parts]
     if is_exact:

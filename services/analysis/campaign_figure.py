@@ -11,7 +11,7 @@ from services.analysis.campaign_table import Cell, Corners, MeanCurves, Table
 
 LABELS = {"loss": "mean loss", "advantage": "mean log-probability advantage", "distance": "mean distance ‖ΔY‖₂"}
 COLOURS = ("#4a2fd6", "#0a5a94", "#0b6b3a", "#b26a00", "#a3182f", "#8b1a86", "#5d5875", "#1c1930")
-"""Of the attacks, in the order of the table; the dashboard's, as they stand on white paper."""
+"""Colours of the attacks, in the order of the table: those of the dashboard on a white page."""
 PANEL = (4.2, 3.2)
 """Width and height of one panel, inches."""
 
@@ -30,14 +30,16 @@ def draw(table: Table, curves: Sequence[MeanCurves], path: Path) -> None:
             for panel, along in zip(row[:2], ("queries", "seconds"), strict=True):
                 _success(panel, target, along, own_cells)
             for panel, (measure, label) in zip(row[2:], LABELS.items(), strict=True):
-                own = [one for one in curves if one.target == target]
-                _mean(panel, target, label, [(one.attack, one.cases, getattr(one, measure)) for one in own])
+                of_target = [curve for curve in curves if curve.target == target]
+                _mean(
+                    panel, target, label, [(curve.attack, curve.cases, getattr(curve, measure)) for curve in of_target]
+                )
         path.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(path, dpi=110, metadata={"Software": None})  # the same bytes with every version's name
 
 
 def _success(axes: Axes, target: str, along: str, cells: Sequence[Cell]) -> None:
-    """As far as any case went, fooled or not: a curve that ends before says nothing of attacks that gave up later."""
+    """Draws success up to the longest case, fooled or not: a shorter axis would hide attacks that gave up later."""
     end = max((getattr(cell, f"most_{along}") or 0.0 for cell in cells), default=0.0) * 1.05 or 1.0
     axes.set_prop_cycle(color=COLOURS)
     for cell in cells:

@@ -111,7 +111,7 @@ class Table(_Record):
 
     def cell(self, target: str, attack: str) -> Cell | None:
         """The cell of a target and an attack; None if the campaign does not combine them."""
-        return next((one for one in self.cells if (one.target, one.attack) == (target, attack)), None)
+        return next((cell for cell in self.cells if (cell.target, cell.attack) == (target, attack)), None)
 
 
 def table(campaign: str, planned: Sequence[tuple[str, str]], cases: Sequence[Case]) -> Table:
@@ -166,10 +166,10 @@ def mean(values: Sequence[float | None]) -> float | None:
 
 def corners(work: Sequence[float | None]) -> Corners:
     """The corners of the number of successes against the work after which each came. Equal work makes one corner."""
-    found: dict[float, int] = {}
-    for number, at in enumerate(sorted(one for one in work if one is not None), 1):
-        found[float(at)] = number
-    return list(found.items())
+    latest: dict[float, int] = {}
+    for number, at in enumerate(sorted(amount for amount in work if amount is not None), 1):
+        latest[float(at)] = number
+    return list(latest.items())
 
 
 def share_at(curve: Corners, of: int, work: float) -> float:
@@ -218,7 +218,7 @@ def mean_curves(traced: Iterable[tuple[str, str, Curves]]) -> list[MeanCurves]:
             target=target,
             attack=attack,
             cases=len(own),
-            **{measure: mean_curve([getattr(one, measure) for one in own]) for measure in CURVES},
+            **{measure: mean_curve([getattr(curve, measure) for curve in own]) for measure in CURVES},
         )
         for (target, attack), own in cells.items()
     ]
@@ -246,9 +246,9 @@ def time_left(planned: Sequence[tuple[str, str]], cases: Sequence[Case], workers
 
 
 CASE_FIELDS = ("scene", "azimuth", "truth", "first answer", "target", "attack", "seed")
-"""What a row or a column of a grid may stand for."""
+"""Fields of a case that the rows or the columns of a grid may stand for."""
 GRID_MEASURES = ("success", "perceptibility", "queries", "seconds")
-"""What a cell of a grid may show: the rate of success over its cases, or a mean over its successes."""
+"""Measures that a cell of a grid may show: the rate of success over its cases, or a mean over its successes."""
 
 
 @dataclass(frozen=True)
@@ -273,7 +273,7 @@ class GridCell:
     success: Rate
     value: float | None
     share: float
-    """Where `value` lies between the smallest (0) and the largest (1) of the grid; of rates, the rate itself."""
+    """Position of `value` between the smallest (0) and the largest (1) of the grid; a rate is its own position."""
 
 
 @dataclass(frozen=True)
@@ -290,20 +290,20 @@ def grid(cases: Sequence[CaseRow], row: str, column: str, measure: str) -> Grid:
 
     Rows and columns are in the order in which they first occur, but numbers in their own.
     """
-    found: dict[tuple[str, str], list[Case]] = defaultdict(list)
-    for one in cases:
-        if one.counted:
-            found[one.fields[row], one.fields[column]].append(one.case)
-    rates = {at: Rate.of_cases(sum(case.success for case in own), len(own)) for at, own in found.items()}
+    groups: dict[tuple[str, str], list[Case]] = defaultdict(list)
+    for case_row in cases:
+        if case_row.counted:
+            groups[case_row.fields[row], case_row.fields[column]].append(case_row.case)
+    rates = {at: Rate.of_cases(sum(case.success for case in own), len(own)) for at, own in groups.items()}
     values = {
         at: rates[at].rate if measure == "success" else mean([getattr(case, measure) for case in own if case.success])
-        for at, own in found.items()
+        for at, own in groups.items()
     }
     there = [value for value in values.values() if value is not None]
     low, high = (0.0, 1.0) if measure == "success" or not there else (min(there), max(there))
     return Grid(
-        rows=_ordered([at for at, _ in found]),
-        columns=_ordered([at for _, at in found]),
+        rows=_ordered([at for at, _ in groups]),
+        columns=_ordered([at for _, at in groups]),
         cells={at: GridCell(rates[at], value, _share(value, low, high)) for at, value in values.items()},
     )
 
@@ -322,18 +322,18 @@ def _ordered(labels: Sequence[str]) -> list[str]:
 
 def best(cases: Sequence[CaseRow], count: int) -> list[CaseRow]:
     """The successes that changed the image least, by p."""
-    won = [one for one in cases if one.counted and one.case.success]
-    return sorted(won, key=lambda one: (one.case.perceptibility or 0.0, one.number))[:count]
+    won = [row for row in cases if row.counted and row.case.success]
+    return sorted(won, key=lambda row: (row.case.perceptibility or 0.0, row.number))[:count]
 
 
 def worst(cases: Sequence[CaseRow], count: int) -> list[CaseRow]:
     """The counted cases that held longest, by queries; if they are too few, the successes that changed the image most
     follow.
     """
-    held = [one for one in cases if one.counted and not one.case.success]
-    won = [one for one in cases if one.counted and one.case.success]
-    held.sort(key=lambda one: (-(one.case.queries or 0), one.number))
-    won.sort(key=lambda one: (-(one.case.perceptibility or 0.0), one.number))
+    held = [row for row in cases if row.counted and not row.case.success]
+    won = [row for row in cases if row.counted and row.case.success]
+    held.sort(key=lambda row: (-(row.case.queries or 0), row.number))
+    won.sort(key=lambda row: (-(row.case.perceptibility or 0.0), row.number))
     return [*held, *won][:count]
 
 
@@ -361,9 +361,9 @@ def part_means(attributions: Sequence[tuple[str, str, Mapping[str, Any]]]) -> li
     """
     values: dict[tuple[str, str, str], list[float]] = defaultdict(list)
     first: dict[tuple[str, str, str], int] = defaultdict(int)
-    for target, attack, one in attributions:
-        shapley = one["log_odds"]["shapley"]
-        for part, value in zip(one["parts"], shapley, strict=True):
+    for target, attack, attribution in attributions:
+        shapley = attribution["log_odds"]["shapley"]
+        for part, value in zip(attribution["parts"], shapley, strict=True):
             values[target, attack, part].append(value)
             first[target, attack, part] += abs(value) == max(map(abs, shapley))
     return [
@@ -433,10 +433,10 @@ def cases_to_csv(cases: Sequence[CaseRow]) -> str:
     out = io.StringIO()
     lines = csv.writer(out, lineterminator="\n")
     lines.writerow(["number", "job", *(name.replace(" ", "_") for name in CASE_FIELDS), *_OF_CASE, *_WORK])
-    for one in cases:
-        values = [getattr(one.case, name) for name in (*_OF_CASE, *_WORK)]
+    for row in cases:
+        values = [getattr(row.case, name) for name in (*_OF_CASE, *_WORK)]
         lines.writerow(
-            [plain(value) for value in (one.number, one.job, *(one.fields[name] for name in CASE_FIELDS), *values)]
+            [plain(value) for value in (row.number, row.job, *(row.fields[name] for name in CASE_FIELDS), *values)]
         )
     return out.getvalue()
 

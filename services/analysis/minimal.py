@@ -24,10 +24,10 @@ def scan_and_bisect(fooled: Callable[[float], bool], scans: int, bisections: int
     and the one before it, so that the two results are 1/(scans · 2^bisections) apart. Scale 0, the original, counts as
     holding. Returns (None, 1) if no scanned scale fools.
     """
-    found = [fooled(k / scans) for k in range(1, scans + 1)]
-    if True not in found:
+    fools = [fooled(k / scans) for k in range(1, scans + 1)]
+    if True not in fools:
         return None, 1.0
-    first = found.index(True)
+    first = fools.index(True)
     low, high = first / scans, (first + 1) / scans
     for _ in range(bisections):
         middle = (low + high) / 2
@@ -80,24 +80,24 @@ def scaled(perturbation: Parameters, scale: float) -> Parameters:
 
 def _fools_from(scan: Sequence[RayPoint]) -> float | None:
     """The smallest scanned scale from which on all scanned scales fool; None if the whole perturbation does not."""
-    found = None
+    smallest = None
     for point in reversed(scan):
         if not point.fooled:
             break
-        found = point.scale
-    return found
+        smallest = point.scale
+    return smallest
 
 
 def _point(
     verifier: Verifier, goal: ResolvedGoal, perturbation: Parameters, original: ScoredImage, scale: float
 ) -> RayPoint:
     image = scored(verifier, perturbation)
-    said = answer(image.logits, verifier.target.labels, goal)
+    network_answer = answer(image.logits, verifier.target.labels, goal)
     return RayPoint(
         scale=scale,
-        label=said.label,
-        confidence=said.confidence,
-        goal_probability=said.goal_probability,
+        label=network_answer.label,
+        confidence=network_answer.confidence,
+        goal_probability=network_answer.goal_probability,
         float_perceptibility=of_float_images(original.exact, image.exact),
         perceptibility=of_images(original.saved, image.saved),
         fooled=bool(goal.fooled(image.logits)),

@@ -20,8 +20,8 @@ def physical_changes(scene: ResolvedScene, renderer: Renderer, perturbation: Par
     declared = RENDERERS[renderer.name]
     if declared.changes is not None:
         with named(f"renderer {renderer.name!r}"):
-            found: list[PhysicalChange] = resolve_name(declared.changes)(scene, renderer.exact(), perturbation)
-            return found
+            changes: list[PhysicalChange] = resolve_name(declared.changes)(scene, renderer.exact(), perturbation)
+            return changes
     return [
         PhysicalChange(
             group=group,
@@ -35,7 +35,7 @@ def physical_changes(scene: ResolvedScene, renderer: Renderer, perturbation: Par
 
 
 def changes_in_words(scene: ResolvedScene, renderer: Renderer, perturbation: Parameters) -> list[Change]:
-    """What a perturbation did to a scene: a sentence for each thing, and its numbers before and after.
+    """Changes that a perturbation made to a scene: a sentence for each thing, and its numbers before and after.
 
     For a renderer that declares no words of its own, the sentences are made of the physical changes; the numbers
     before are then 0.
@@ -43,16 +43,20 @@ def changes_in_words(scene: ResolvedScene, renderer: Renderer, perturbation: Par
     declared = RENDERERS[renderer.name]
     if declared.worded is not None:
         with named(f"renderer {renderer.name!r}"):
-            found: list[Change] = resolve_name(declared.worded)(scene, renderer.exact(), perturbation)
-            return found
+            changes: list[Change] = resolve_name(declared.worded)(scene, renderer.exact(), perturbation)
+            return changes
     return [
         Change(
-            group=one.group,
-            subject=one.subject,
-            sentence=f"{one.measure} {signed(one.value)} ({one.unit})",
-            values=[ChangedValue(name=f"{one.subject}, {one.measure}", unit=one.unit, before=0.0, after=one.value)],
+            group=change.group,
+            subject=change.subject,
+            sentence=f"{change.measure} {signed(change.value)} ({change.unit})",
+            values=[
+                ChangedValue(
+                    name=f"{change.subject}, {change.measure}", unit=change.unit, before=0.0, after=change.value
+                )
+            ],
         )
-        for one in physical_changes(scene, renderer, perturbation)
+        for change in physical_changes(scene, renderer, perturbation)
     ]
 
 
@@ -62,5 +66,5 @@ def change_images(renderer: Renderer, perturbation: Parameters) -> dict[str, Ten
     if declared.drawn is None:
         return {}
     with named(f"renderer {renderer.name!r}"):
-        found: dict[str, Tensor] = resolve_name(declared.drawn)(renderer.exact(), perturbation)
-        return found
+        images: dict[str, Tensor] = resolve_name(declared.drawn)(renderer.exact(), perturbation)
+        return images

@@ -128,7 +128,7 @@ class Subset(Record):
 
 
 class Shares(Record):
-    """How the effect of the whole perturbation on one quantity is shared out among its parts."""
+    """Shares of the parts in the effect of the whole perturbation on one quantity."""
 
     effect: float = Field(description="the quantity with the whole perturbation minus that of the original")
     shapley: list[float] = Field(description="each part's Shapley value; they sum to the effect")
@@ -191,7 +191,7 @@ class Said(Record):
 
 
 class Transferred(Record):
-    """What a network, asked in transfer, says of the original and of the attacked image."""
+    """Answers of a network, asked in transfer, to the original and to the attacked image."""
 
     target: str
     renderer: str = Field(description="the renderer that made both images")
@@ -215,7 +215,7 @@ class Explanation(Record):
 
 
 class Interpretation(Record):
-    """How well physical parameters explain the attacked image (paper, section 4.1.1)."""
+    """Fits of physical parameters to the attacked image: how well they explain it (paper, section 4.1.1)."""
 
     image: Said = Field(description="the answer to the attacked image")
     scene: Said = Field(description="the answer to the scene's own image, from which every fit starts")
@@ -247,8 +247,8 @@ class AdaptiveAttack(Record):
 
 
 class HeldOver(Record):
-    """How the stored perturbation does over the range that its attack averaged over, on variations that no step of the
-    attack has seen, each rendered by the exact path. Intervals are Wilson's of 95 %.
+    """Success of the stored perturbation over the range that its attack averaged over, on variations that no step of
+    the attack has seen, each rendered by the exact path. Intervals are Wilson's of 95 %.
     """
 
     variations: int = Field(description="fresh variations")

@@ -62,13 +62,13 @@ def fit(
     moved = {group: torch.zeros_like(value).requires_grad_() for group, value in start.items()}
     kind = torch.optim.SGD if optimiser == "sgd" else torch.optim.Adam
     stepper = kind(moved.values(), lr=rate)
-    wanted, losses = image.to(torch.float64), list[float]()
+    target, losses = image.to(torch.float64), list[float]()
     best: Parameters = {}
     for step in range(steps + 1):
         tick(step)
         with torch.set_grad_enabled(step < steps):
             [shown] = renderer.render({group: (start[group] + moved[group])[None] for group in moved})
-            distance = (shown.double() - wanted.to(shown.device)).abs().sum()
+            distance = (shown.double() - target.to(shown.device)).abs().sum()
         losses.append(float(distance.detach()) / image.numel())
         if not finite(distance):
             raise JobFailure("non-finite", "the distance of a fit is not finite")
@@ -105,11 +105,11 @@ def interpret(verifier: Verifier, image: Tensor, *, steps: int, tick: Callable[[
     The renderer must be differentiable. `tick` is called before each image that is rendered.
     """
     labels, each = verifier.target.labels, steps + 2
-    found: list[Explanation] = []
+    fits: list[Explanation] = []
     for number, (optimiser, rate) in enumerate(product(OPTIMISERS, RATES)):
         begun, total = number * each, len(OPTIMISERS) * len(RATES) * each
         best, rendered = fitted(verifier, image, optimiser, rate, steps, partial(_tick_from, tick, begun, total))
-        found.append(
+        fits.append(
             Explanation(
                 optimiser=optimiser,
                 rate=rate,
@@ -120,7 +120,7 @@ def interpret(verifier: Verifier, image: Tensor, *, steps: int, tick: Callable[[
         )
     start = verifier.image({})
     return Interpretation(
-        image=said(verifier.logits(image), labels), scene=said(verifier.logits(start), labels), fits=found
+        image=said(verifier.logits(image), labels), scene=said(verifier.logits(start), labels), fits=fits
     )
 
 

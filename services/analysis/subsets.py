@@ -58,13 +58,13 @@ def subsets(
             else:
                 image = scored(verifier, {g: perturbation[g] for g in groups})
                 keep(len(rows), image.saved)
-            said = answer(image.logits, verifier.target.labels, goal)
+            network_answer = answer(image.logits, verifier.target.labels, goal)
             rows.append(
                 Subset(
                     groups=list(groups),
-                    label=said.label,
-                    confidence=said.confidence,
-                    goal_probability=said.goal_probability,
+                    label=network_answer.label,
+                    confidence=network_answer.confidence,
+                    goal_probability=network_answer.goal_probability,
                     goal_log_odds=goal_log_odds(image.logits, goal),
                     float_perceptibility=of_float_images(original.exact, image.exact),
                     perceptibility=of_images(original.saved, image.saved),

@@ -17,7 +17,7 @@ from services.attacks.run import Verifier
 
 @dataclass(frozen=True)
 class Wanted:
-    """What an attack wants, in the label indices of the network that is asked."""
+    """Aim of an attack, in the label indices of the network that is asked."""
 
     truth: frozenset[int]
     """The labels that are right; empty if nobody knows them."""

@@ -1,6 +1,6 @@
-"""What a finished job gives away: its scenes as glTF, its light, its parameters, and a report, in one folder or zip."""
+"""Exports of finished jobs: scenes as glTF, light, parameters and a report, in one folder or zip file."""
 
 BUNDLE = "bundle"
-"""What the process that makes exports is asked for: everything, in one zip file."""
+"""Request to the process that makes exports for everything, in one zip file."""
 ASSET = "asset"
 """A request for the scene of one asset."""

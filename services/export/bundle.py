@@ -63,7 +63,7 @@ def into_folder(folder: Path) -> Callable[[str, bytes], None]:
 
 
 STOCK = ("render_exported.py", "mesh.vert", "mesh.frag")
-"""What draws a `.glb` of the bundle with trimesh and pyrender."""
+"""Names of the files that draw a `.glb` of the bundle with trimesh and pyrender."""
 WHICH = ("before", "after")
 
 Write = Callable[[str, bytes], None]

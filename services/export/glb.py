@@ -65,7 +65,7 @@ class Glb:
             used.append(extension)
 
     def kept(self, source: NDArray[Any], derive: Callable[[], NDArray[Any]]) -> NDArray[Any]:
-        """What `derive` makes of the array `source`, made once and kept alive, so that it is stored once."""
+        """The array that `derive` makes of `source`. It is made once and kept alive, so that it is stored once."""
         if id(source) not in self._derived:
             self._derived[id(source)] = derive()
             self._alive.append(source)
@@ -135,7 +135,7 @@ def _png(texels: Bytes) -> bytes:
 COAT_ROUGHNESS = 0.45
 """The roughness of the coat in `shaders/radiance.frag`."""
 COAT, GLTF, GLTF_SMITH = "coat", "gltf", "gltf-smith"
-"""What `extras.brdf` says of a material: the formula in `stock/mesh.frag` that gives the project's image."""
+"""Values of a material's `extras.brdf`: the formula in `stock/mesh.frag` that gives the project's image."""
 
 
 def primitive(glb: Glb, part: Part, factor: Doubles, exposure: float, name: str) -> dict[str, Any]:
@@ -148,7 +148,7 @@ def primitive(glb: Glb, part: Part, factor: Doubles, exposure: float, name: str)
     attributes = {"POSITION": glb.accessor(part.vertices), "NORMAL": glb.accessor(part.normals)}
     if surface.maps and as_gltf.uv is not None:
         attributes["TEXCOORD_0"] = glb.accessor(_downwards(glb, as_gltf.uv))
-    if any(one.uv_set for one in surface.maps.values()):
+    if any(texture.uv_set for texture in surface.maps.values()):
         attributes["TEXCOORD_1"] = glb.accessor(_downwards(glb, surface.second_uv))
     if "normal" in surface.maps:
         attributes["TANGENT"] = glb.accessor(surface.tangents)
@@ -169,7 +169,8 @@ def _downwards(glb: Glb, uv: Any) -> Any:
 
 def _material(glb: Glb, m: MetallicRoughness, color: list[float], exposure: float, brdf: str) -> dict[str, Any]:
     maps: dict[MapName, dict[str, Any]] = {
-        name: {"index": glb.texture(one.texels, one.wrap), "texCoord": one.uv_set} for name, one in m.maps.items()
+        name: {"index": glb.texture(texture.texels, texture.wrap), "texCoord": texture.uv_set}
+        for name, texture in m.maps.items()
     }
     reflecting: dict[str, Any] = {
         "baseColorFactor": color,
@@ -194,10 +195,10 @@ def _material(glb: Glb, m: MetallicRoughness, color: list[float], exposure: floa
         entry["occlusionTexture"] = maps["occlusion"] | {"strength": m.occlusion_strength}
     if "emissive" in maps:
         entry["emissiveTexture"] = maps["emissive"]
-    emission = [exposure * one for one in m.emissive]
+    emission = [exposure * channel for channel in m.emissive]
     if any(emission):
         strength = max(1.0, *emission)
-        entry["emissiveFactor"] = [one / strength for one in emission]
+        entry["emissiveFactor"] = [channel / strength for channel in emission]
         if strength > 1:
             glb.uses("KHR_materials_emissive_strength")
             entry["extensions"] = {"KHR_materials_emissive_strength": {"emissiveStrength": strength}}
@@ -247,7 +248,7 @@ def scene_glb(scene: ResolvedScene, values: SceneValues, lit_by_map: bool, envir
 def _scene_extras(
     scene: ResolvedScene, values: SceneValues, lit_by_map: bool, environment: str | None
 ) -> dict[str, Any]:
-    found: dict[str, Any] = {
+    extras: dict[str, Any] = {
         "size": list(scene.description.camera.size),
         "ground": list(scene.description.ground),
         "ground_is": "the displayed colour behind the objects, composited by coverage",
@@ -255,16 +256,16 @@ def _scene_extras(
     }
     if scene.description.background is not None:
         behind = scene.ground_from(scene.projection @ np.linalg.inv(values.camera))
-        found["background"] = base64.b64encode(png(torch.tensor(np.rint(behind * 255).astype(np.uint8)))).decode()
-        found["background_is"] = "what is behind the objects in place of the ground, a PNG file in base64"
+        extras["background"] = base64.b64encode(png(torch.tensor(np.rint(behind * 255).astype(np.uint8)))).decode()
+        extras["background_is"] = "what is behind the objects in place of the ground, a PNG file in base64"
     if lit_by_map:
-        return found | {
+        return extras | {
             "environment": environment,
             "light": "the environment map alone; the file has no light, and its materials are not the DSBRDFs of the "
             "image",
         }
     up = EXPOSURE * values.ambient
-    return found | {
+    return extras | {
         "exposure": EXPOSURE,
         "ambient": up,
         "ambient_is": "mean radiance from all around times the exposure; in direction w it is ambient (1 + w.y / 2), "

@@ -125,8 +125,8 @@ def light_maps(scene: ResolvedScene, perturbation: Parameters) -> BeforeAfter:
     light = illumination(torch.as_tensor(scene.environment))
 
     def radiance(intensity: Tensor) -> Floats:
-        found = light.exposure * light.chroma * intensity.clamp_min(0.0)
-        return np.asarray(found.numpy(), np.float32)
+        values = light.exposure * light.chroma * intensity.clamp_min(0.0)
+        return np.asarray(values.numpy(), np.float32)
 
     own = light.intensity[..., None]
     moved = own

@@ -1,4 +1,4 @@
-"""What an export has to read: a page about the job, and the README of its files.
+"""Texts of an export: a page about the job, and the README of its files.
 
 The page needs no other file: it has images, tables, curves and the request, without scripts. The README names the files
 and their units, what glTF cannot say, what `replay` needs, the credits, and how to cite.
@@ -67,7 +67,7 @@ CONTENTS = {
     "attention-*-after.png": "the same in the attacked image",
     "attention.safetensors": "the masks of these functions, float32 in [0,1]",
 }
-"""What files are, by name or pattern; the first that fits."""
+"""Descriptions of files by name or pattern; the first pattern that fits counts."""
 
 
 def escaped(text: str) -> str:
@@ -100,7 +100,7 @@ def readme(
         job=job,
         sentence=sentence(result),
         files=[(path, content(path)) for path in dict.fromkeys(map(_listed, paths))],
-        missing=[missing for one in targets if (missing := one.missing(FOLDER)) is not None],
+        missing=[missing for target in targets if (missing := target.missing(FOLDER)) is not None],
         written_by=result.provenance.versions.get("scene-attack", version("scene-attack")),
         lengths=_lengths(scene),
         same_scene=spec.attack.renderer != PYRENDER.name,
@@ -117,11 +117,11 @@ def readme(
 
 
 def sentence(result: Result) -> str:
-    """What came of the attack."""
+    """The outcome of the attack in a sentence."""
     before, after = result.original, result.attacked
-    said = f"The network said “{before.label}” ({before.confidence:.1%}) of the scene as it was, and says "
-    said += f"“{after.label}” ({after.confidence:.1%}) of the scene under attack"
-    return f"{said}: {result.outcome}{', verified' if result.verified else ', not verified'}."
+    answers = f"The network said “{before.label}” ({before.confidence:.1%}) of the scene as it was, and says "
+    answers += f"“{after.label}” ({after.confidence:.1%}) of the scene under attack"
+    return f"{answers}: {result.outcome}{', verified' if result.verified else ', not verified'}."
 
 
 def _listed(path: str) -> str:
@@ -131,7 +131,7 @@ def _listed(path: str) -> str:
 
 
 def content(name: str) -> str:
-    """What a file of the bundle is."""
+    """The description of a file of the bundle."""
     return next((words for pattern, words in CONTENTS.items() if fnmatch(name, pattern)), "a file of the job")
 
 
@@ -185,7 +185,7 @@ def report(result: Result, name: str, table: ParameterTable, files: Files, job: 
         sentence=sentence(result),
         images=[(title, _inline(files[name]())) for name, title in IMAGES if name in files],
         curves=curves(result.trace),
-        groups=[[group_words(result.spec, group) for group in one.groups] for one in result.subsets],
+        groups=[[group_words(result.spec, group) for group in subset.groups] for subset in result.subsets],
         parts=[group_words(result.spec, part) for part in result.attribution.parts],
         table=table,
         request=json.dumps(result.spec, indent=2, ensure_ascii=False),

@@ -91,6 +91,6 @@ def moves_the_scene(renderer: str) -> bool:
 
 
 def as_extras(light: LightValues) -> dict[str, Any]:
-    """What glTF's own fields do not say of a light."""
+    """The energy of a light and its unit, which glTF's own fields do not say."""
     unit = "irradiance of a surface that faces it" if light.kind == "directional" else "radiant intensity"
     return {"energy": float(light.energy), "unit": unit}

@@ -29,12 +29,12 @@ class Facts:
     @classmethod
     def of(cls, record: SceneRecord) -> "Facts":
         """Returns the facts in a scene's record; relations are those that stand in it."""
-        values = {name: tuple(one.value(name) for one in record.objects) for name in ATTRIBUTES}
+        values = {name: tuple(thing.value(name) for thing in record.objects) for name in ATTRIBUTES}
         return cls(
             everything=frozenset(range(len(record.objects))),
             values=values,
             having={
-                (name, value): frozenset(k for k, found in enumerate(values[name]) if found == value)
+                (name, value): frozenset(k for k, known_value in enumerate(values[name]) if known_value == value)
                 for name, known in ATTRIBUTES.items()
                 for value in known
             },
@@ -85,8 +85,10 @@ class IllPosed(InvalidRequest):
     """A program asks for the one object of a set that has none or many. `node` is its `unique`, `found` the number."""
 
     def __init__(self, node: int, found: int) -> None:
-        said = "there is none" if found == 0 else f"there are {found}"
-        super().__init__(f"program.{node}", f"unique asks for the only object, and {said}: the question is ill-posed")
+        count_words = "there is none" if found == 0 else f"there are {found}"
+        super().__init__(
+            f"program.{node}", f"unique asks for the only object, and {count_words}: the question is ill-posed"
+        )
         self.node = node
         self.found = found
 
@@ -96,12 +98,12 @@ class IllPosed(InvalidRequest):
 
 def answer(program: Program, facts: Facts) -> str:
     """Returns the answer to a question. Raises as `execute` does, and InvalidRequest for a count that is no answer."""
-    found = execute(program, facts)[-1]
-    if isinstance(found, bool):
-        return "yes" if found else "no"
-    if isinstance(found, int) and found > MAX_COUNT:
-        raise InvalidRequest("program", f"the answer is {found}; numbers above {MAX_COUNT} are no answers")
-    return str(found)
+    result = execute(program, facts)[-1]
+    if isinstance(result, bool):
+        return "yes" if result else "no"
+    if isinstance(result, int) and result > MAX_COUNT:
+        raise InvalidRequest("program", f"the answer is {result}; numbers above {MAX_COUNT} are no answers")
+    return str(result)
 
 
 def execute(program: Program, facts: Facts) -> tuple[Value, ...]:

@@ -91,18 +91,18 @@ class QuestionGenerator:
         """
         random = Random(f"questions/{self._seed}/{scene.split}/{scene.image_index}")
         facts = Facts.of(scene)
-        found: dict[Program, QuestionRecord] = {}
+        records: dict[Program, QuestionRecord] = {}
         before = -1
-        while before < len(found) < count:
-            before = len(found)
+        while before < len(records) < count:
+            before = len(records)
             for family in self._in_turn(random):
-                made = self._question(family, facts, random)
-                if made is None or made[1] in found:
+                question = self._question(family, facts, random)
+                if question is None or question[1] in records:
                     continue
-                found[made[1]] = self._record(scene, family, *made, random)
-                if len(found) == count:
+                records[question[1]] = self._record(scene, family, *question, random)
+                if len(records) == count:
                     break
-        return list(found.values())
+        return list(records.values())
 
     def _in_turn(self, random: Random) -> Iterator[Family]:
         """Yields each family once, each time the one that was asked least often of those that are left."""
@@ -117,17 +117,17 @@ class QuestionGenerator:
         return self._asked[family.kind], self._asked[family.kind, family.asks], self._asked[family]
 
     def _question(self, family: Family, facts: Facts, random: Random) -> tuple[tuple[Filled, ...], Program, str] | None:
-        given = self._answers.setdefault((family.kind, family.asks), Counter())
+        answers = self._answers.setdefault((family.kind, family.asks), Counter())
         best: tuple[tuple[Filled, ...], Program, str] | None = None
         for _ in range(TRIES):
             phrases = next(instances(family, facts, random), None)
             if phrases is None:
                 break
             program = build(family, phrases)
-            made = phrases, program, answer(program, facts)
-            if best is None or given[made[2]] < given[best[2]]:
-                best = made
-            if given[best[2]] * len(given) <= given.total():
+            question = phrases, program, answer(program, facts)
+            if best is None or answers[question[2]] < answers[best[2]]:
+                best = question
+            if answers[best[2]] * len(answers) <= answers.total():
                 break
         return best
 
@@ -137,10 +137,10 @@ class QuestionGenerator:
         family: Family,
         phrases: tuple[Filled, ...],
         program: Program,
-        said: str,
+        answer_text: str,
         random: Random,
     ) -> QuestionRecord:
-        self._answers[family.kind, family.asks][said] += 1
+        self._answers[family.kind, family.asks][answer_text] += 1
         self._asked.update((family.kind, (family.kind, family.asks), family))
         self._count += 1
         return QuestionRecord(
@@ -150,6 +150,6 @@ class QuestionGenerator:
             question_index=self._count - 1,
             question_family_index=_INDEX[family],
             question=word(family, phrases, random),
-            answer=said,
+            answer=answer_text,
             program=program,
         )

@@ -16,7 +16,7 @@ from services.scenes.clevr.records import ATTRIBUTES, RELATIONS
 from services.text import there_are
 
 Type = Literal["set", "object", "integer", "boolean", "size", "color", "material", "shape"]
-"""What a function takes or gives: a set of objects, one object, a number, a truth value, a value of an attribute."""
+"""Type of an input or output: a set of objects, one object, a number, a truth value, a value of an attribute."""
 
 
 @dataclass(frozen=True)
@@ -172,10 +172,10 @@ def _checked(index: int, node: Node, before: Sequence[Type]) -> Type:
         raise InvalidProgram(
             index, "function", f"there is no function {node.function!r}; {there_are(node.function, FUNCTIONS)}"
         )
-    for what, given, due in (("input", node.inputs, function.inputs), ("value", node.values, function.values[:1])):
-        if len(given) != len(due):
+    for what, actual, due in (("input", node.inputs, function.inputs), ("value", node.values, function.values[:1])):
+        if len(actual) != len(due):
             raise InvalidProgram(
-                index, "arity", f"{node.function} takes {_number(len(due), what)}, and has {len(given)}"
+                index, "arity", f"{node.function} takes {_number(len(due), what)}, and has {len(actual)}"
             )
     for value in node.values:
         if value not in function.values:
@@ -213,8 +213,8 @@ def program_in(question: str) -> Program | None:
     if not question.lstrip().startswith("["):
         return None
     try:
-        found = Program.read(json.loads(question))
+        program = Program.read(json.loads(question))
     except (json.JSONDecodeError, RecursionError) as error:
         raise InvalidRequest("question", f"it begins as the JSON of a program and is none: {error}") from error
-    found.check()
-    return found
+    program.check()
+    return program

@@ -47,7 +47,7 @@ class UnknownWord(InvalidRequest):
 
 def tokens(text: str) -> list[str]:
     """Returns the words of a text in lower case, and its semicolons; other punctuation is left out."""
-    return [found.lower() for found in _TOKEN.findall(text)]
+    return [token.lower() for token in _TOKEN.findall(text)]
 
 
 def encoded(text: str) -> list[int]:
@@ -56,13 +56,13 @@ def encoded(text: str) -> list[int]:
     Raises UnknownWord for the first word that is not there, InvalidRequest("question") for a text without words or with
     more than MAX_WORDS.
     """
-    found = _TOKEN.findall(text)
-    if not 0 < len(found) <= MAX_WORDS:
-        raise InvalidRequest("question", f"it has {len(found)} words; it needs 1 to {MAX_WORDS}")
-    for index, token in enumerate(found):
+    words = _TOKEN.findall(text)
+    if not 0 < len(words) <= MAX_WORDS:
+        raise InvalidRequest("question", f"it has {len(words)} words; it needs 1 to {MAX_WORDS}")
+    for index, token in enumerate(words):
         if token.lower() not in _INDEX:
             raise UnknownWord(token, index)
-    return [_INDEX[token.lower()] for token in found]
+    return [_INDEX[token.lower()] for token in words]
 
 
 def decoded(indices: Sequence[int]) -> list[str]:
@@ -93,11 +93,11 @@ def difference(question: str, program: Program) -> str | None:
     question has a word for what the program asks for: so it is for every question of the language with its program.
     """
     text = " ".join(tokens(question))
-    said = Counter(filter(None, map(_value, re.sub("how big", "how", text).split())))
-    asked = Counter(value for node in program.nodes for value in node.values)
-    for value in sorted(said | asked):
-        if said[value] != asked[value]:
-            return f"the question has {value!r} {_times(said[value])}, the program {_times(asked[value])}"
+    in_question = Counter(filter(None, map(_value, re.sub("how big", "how", text).split())))
+    in_program = Counter(value for node in program.nodes for value in node.values)
+    for value in sorted(in_question | in_program):
+        if in_question[value] != in_program[value]:
+            return f"the question has {value!r} {_times(in_question[value])}, the program {_times(in_program[value])}"
     for node in program.nodes:
         words = (
             ("many", "number") if node is program.nodes[-1] and node.function == "count" else _words_of(node.function)

@@ -51,7 +51,7 @@ _SLOTS = {
     "bump": "bump map",
     "normal": "normal map",
 }
-"""What an image is to an effect of COLLADA that has it in a slot. Only the first is shown."""
+"""Role of an image by the slot of a COLLADA effect that has it. Only the first role, the texture, is shown."""
 
 _INIT_FROM = re.compile(r"<init_from>([^<]*)(?:<ref>([^<]*))?")
 _SOURCE = re.compile(r"<(?:source|init_from)>([^<]*)|<instance_image\s+url=\"#([^<\"]*)\"")
@@ -80,7 +80,7 @@ def collada_images(data: bytes) -> list[Named]:
         file = "" if found_file is None else (found_file[1].strip() or (found_file[2] or "").strip())
         if name and file:
             files[name] = _unescaped(file)
-    found = []
+    used_images = []
     for _, effect in _elements(text, "effect"):
         params = {}
         for head, body in _elements(effect, "newparam"):
@@ -93,9 +93,9 @@ def collada_images(data: bytes) -> list[Named]:
                 for _ in range(3):
                     image = params.get(image, image)
                 if image in files:
-                    found.append(Named(files[image], what))
-    named = {one.name for one in found}
-    return [*found, *(Named(name, "image") for name in files.values() if name not in named)]
+                    used_images.append(Named(files[image], what))
+    named = {image.name for image in used_images}
+    return [*used_images, *(Named(name, "image") for name in files.values() if name not in named)]
 
 
 def _elements(text: str, name: str) -> Iterator[tuple[str, str]]:
@@ -111,8 +111,8 @@ def _elements(text: str, name: str) -> Iterator[tuple[str, str]]:
 
 
 def _attribute(head: str, name: str) -> str | None:
-    found = re.search(rf"\b{name}=\"([^\"]+)\"", head)
-    return None if found is None else found[1]
+    match = re.search(rf"\b{name}=\"([^\"]+)\"", head)
+    return None if match is None else match[1]
 
 
 def _unescaped(text: str) -> str:
@@ -143,24 +143,24 @@ _MAPS = {
     "map_pm": "metallic map",
     "refl": "reflection map",
 }
-"""What each statement of an MTL file names."""
+"""Role of the file that a statement of an MTL file names, by statement."""
 
 
 def named_files(data: bytes, kind: str) -> list[Named]:
     """Returns the files that a file of a kind, a mesh's or `mtl`, names: each once, in their order."""
     if kind == "obj":
-        found = [Named(name, "material library") for name in _lines(data, rb"[ \t]*mtllib[ \t]+([^\r\n]+)")]
+        named = [Named(name, "material library") for name in _lines(data, rb"[ \t]*mtllib[ \t]+([^\r\n]+)")]
     elif kind == "ply":
-        found = [Named(name, "texture") for name in _lines(data, rb"comment TextureFile[ \t]+([^\r\n]+)")]
+        named = [Named(name, "texture") for name in _lines(data, rb"comment TextureFile[ \t]+([^\r\n]+)")]
     elif kind == "mtl":
-        found = [one for line in decoded(data).splitlines() if (one := _map(line))]
+        named = [texture for line in decoded(data).splitlines() if (texture := _map(line))]
     elif kind in ("gltf", "glb"):
-        found = _gltf(data)
+        named = _gltf(data)
     elif kind == "dae":
-        found = collada_images(data)
+        named = collada_images(data)
     else:
-        found = []
-    return list(dict.fromkeys(found))[:MAX_NAMES]
+        named = []
+    return list(dict.fromkeys(named))[:MAX_NAMES]
 
 
 def texture_name(text: str) -> tuple[str, str]:
@@ -217,12 +217,12 @@ class Beside(trimesh.resolvers.Resolver):  # type: ignore[misc]  # trimesh has n
     """
 
     def __init__(self, files: Mapping[str, bytes], kind: str = "", data: bytes = b"") -> None:
-        """`files` by their paths relative to the folder of the mesh, which is `data` of format `kind`."""
+        """`files` are given by their paths relative to the folder of the mesh, which is `data` of format `kind`."""
         self._files = files
         self.paths = tuple(files)
         self.size = sum(map(len, files.values()))
         self.named = self._named(data, kind)
-        """What the mesh and its material libraries name, in their order."""
+        """Files that the mesh and its material libraries name, in their order."""
 
     def find(self, name: str) -> str | None:
         """Returns the path of the file that a mesh calls `name`; None if it is not there.
@@ -234,7 +234,9 @@ class Beside(trimesh.resolvers.Resolver):  # type: ignore[misc]  # trimesh has n
             path = posixpath.normpath(written.strip().replace("\\", "/")).lower()
             if path in self._paths:
                 return self._paths[path]
-            same = [one for lower, one in self._paths.items() if posixpath.basename(lower) == posixpath.basename(path)]
+            same = [
+                name for lower, name in self._paths.items() if posixpath.basename(lower) == posixpath.basename(path)
+            ]
             if len(same) == 1:
                 return same[0]
         return None
@@ -253,7 +255,7 @@ class Beside(trimesh.resolvers.Resolver):  # type: ignore[misc]  # trimesh has n
 
     def check(self) -> None:
         """Raises InvalidRequest("file", …) for a texture that is shown and is no image."""
-        for path in filter(None, (self.find(one.name) for one in self.named if one.what == "texture")):
+        for path in filter(None, (self.find(file.name) for file in self.named if file.what == "texture")):
             if path.lower().endswith(IMAGES):
                 self._images[path] = _checked(self._files[path], path)
 
@@ -262,11 +264,11 @@ class Beside(trimesh.resolvers.Resolver):  # type: ignore[misc]  # trimesh has n
         return self._files.keys()
 
     def write(self, name: str, data: Any) -> None:
-        """Is refused."""
+        """Raises NotImplementedError: no file is written."""
         raise NotImplementedError
 
     def namespaced(self, namespace: str) -> "Beside":
-        """Is refused."""
+        """Raises FileNotFoundError: there is nothing but the files."""
         raise FileNotFoundError(namespace)
 
     @cached_property
@@ -279,13 +281,13 @@ class Beside(trimesh.resolvers.Resolver):  # type: ignore[misc]  # trimesh has n
 
     @cached_property
     def _libraries(self) -> list[str]:
-        found = (self.find(one.name) for one in self.named if one.what == "material library")
-        return list(dict.fromkeys(path for path in found if path))
+        paths = (self.find(file.name) for file in self.named if file.what == "material library")
+        return list(dict.fromkeys(path for path in paths if path))
 
     def _named(self, data: bytes, kind: str) -> list[Named]:
         direct = named_files(data, kind)
-        libraries = [self.find(one.name) for one in direct if one.what == "material library"]
-        inside = [one for path in dict.fromkeys(libraries) if path for one in named_files(self._files[path], "mtl")]
+        libraries = [self.find(file.name) for file in direct if file.what == "material library"]
+        inside = [file for path in dict.fromkeys(libraries) if path for file in named_files(self._files[path], "mtl")]
         return list(dict.fromkeys([*direct, *inside]))
 
     def libraries(self) -> str:
@@ -302,5 +304,5 @@ def _checked(data: bytes, path: str) -> bytes:
         image.convert("RGBA").save(buffer, "PNG")
         return buffer.getvalue()
     except (ValueError, OSError, SyntaxError) as error:
-        said = error if isinstance(error, Unreadable) else DAMAGED
-        raise InvalidRequest("file", f"the texture {path} cannot be read: {said}") from error
+        message = error if isinstance(error, Unreadable) else DAMAGED
+        raise InvalidRequest("file", f"the texture {path} cannot be read: {message}") from error

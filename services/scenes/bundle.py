@@ -1,5 +1,4 @@
-"""What is uploaded: a mesh file with the files that it was sent with, what its sender says of it, and zip files
-unpacked.
+"""Uploads: a mesh file with the files that it was sent with and its sender's statements; unpacks zip files.
 
 Archives are not trusted: they are unpacked in memory, by a confined process (`services.scenes.reading_process`).
 """
@@ -48,7 +47,7 @@ def title_of(file: PurePath) -> str:
 
 
 class About(BaseModel):
-    """What is said of an upload, which is stored with it and part of its hash; nothing of it is guessed.
+    """The sender's statements about an upload. They are stored with it and part of its hash; none is guessed.
 
     up: the axis of the file that points up; None: as its format says.
     """
@@ -62,9 +61,9 @@ class About(BaseModel):
     credit: str | None = None
 
     def digest_part(self) -> str:
-        """What the hash of an upload covers of this; nothing if nothing is said."""
-        said = self.model_dump(exclude_none=True)
-        return f" {json.dumps(said, sort_keys=True)}" if said else ""
+        """The text that the hash of an upload covers of this; empty if its sender states nothing."""
+        fields = self.model_dump(exclude_none=True)
+        return f" {json.dumps(fields, sort_keys=True)}" if fields else ""
 
 
 NOTHING_SAID = About()
@@ -154,11 +153,11 @@ def bundle_of(
     main = _main(list(files), kind, mesh)
     folder = posixpath.dirname(main)
     form = kind or _ending(main)
-    wanted = BESIDE.get(form, ())
+    endings = BESIDE.get(form, ())
     others = {
         posixpath.relpath(name, folder or "."): data
         for name, data in files.items()
-        if name != main and _ending(name) in wanted
+        if name != main and _ending(name) in endings
     }
     return Bundle(form, files[main], others, about)
 
@@ -179,17 +178,17 @@ def clean_name(name: str) -> str:
 def _main(names: Sequence[str], kind: str | None, mesh: str | None) -> str:
     meshes = [name for name in names if _ending(name) in ((kind,) if kind else MESH_KINDS)]
     if mesh is not None:
-        wanted = mesh.replace("\\", "/")
-        found = [name for name in names if name == wanted] or [
-            name for name in names if posixpath.basename(name) == wanted
+        stated = mesh.replace("\\", "/")
+        matches = [name for name in names if name == stated] or [
+            name for name in names if posixpath.basename(name) == stated
         ]
-        if len(found) == 1 and (kind or found[0] in meshes):
-            return found[0]
-        if len(found) > 1:
-            raise InvalidRequest("mesh", f"there are {_listed(found)}; say which by its whole path")
+        if len(matches) == 1 and (kind or matches[0] in meshes):
+            return matches[0]
+        if len(matches) > 1:
+            raise InvalidRequest("mesh", f"there are {_listed(matches)}; say which by its whole path")
         raise InvalidRequest("mesh", f"there is no mesh {mesh!r} among the files{_there_are(meshes)}")
     if not meshes:
-        endings = ", ".join(f".{one}" for one in ((kind,) if kind else MESH_KINDS))
+        endings = ", ".join(f".{ending}" for ending in ((kind,) if kind else MESH_KINDS))
         if len(names) == 1:
             raise InvalidRequest("kind", f"the name {names[0]!r} does not say it; a mesh ends in {endings}")
         raise InvalidRequest("file", f"there is no mesh among the {len(names):,} files; a mesh ends in {endings}")
@@ -219,7 +218,7 @@ MAX_RATIO = 100
 SMALL = 2**20
 _ENCRYPTED = 1
 _IGNORED = ("__MACOSX/", ".DS_Store", "Thumbs.db")
-"""What file managers add."""
+"""Names of files and folders that file managers add to archives."""
 
 
 def unpack_archive(data: bytes, most: int) -> dict[str, bytes]:
@@ -237,8 +236,8 @@ def unpack_archive(data: bytes, most: int) -> dict[str, bytes]:
         if isinstance(error, InvalidRequest):
             raise
         # Only the words of the zip reader itself are about the file.
-        said = f"damaged: {str(error)[:200]}" if isinstance(error, zipfile.BadZipFile) else "damaged, or cut off"
-        raise InvalidRequest("file", f"the zip file is {said}") from error
+        damage = f"damaged: {str(error)[:200]}" if isinstance(error, zipfile.BadZipFile) else "damaged, or cut off"
+        raise InvalidRequest("file", f"the zip file is {damage}") from error
 
 
 def _checked(entries: list[zipfile.ZipInfo], packed: int, most: int) -> dict[str, zipfile.ZipInfo]:
@@ -249,7 +248,7 @@ def _checked(entries: list[zipfile.ZipInfo], packed: int, most: int) -> dict[str
         raise InvalidRequest("file", f"the zip file unpacks to {total:,} bytes; at most {most:,} are taken")
     if total > max(SMALL, MAX_RATIO * packed):
         raise InvalidRequest("file", f"the zip file of {packed:,} bytes unpacks to {total:,}, which is no mesh's ratio")
-    found: dict[str, zipfile.ZipInfo] = {}
+    entry_by_name: dict[str, zipfile.ZipInfo] = {}
     seen: set[str] = set()
     for entry in entries:
         name = clean_name(entry.filename)
@@ -265,5 +264,5 @@ def _checked(entries: list[zipfile.ZipInfo], packed: int, most: int) -> dict[str
         if name.lower() in seen:
             raise InvalidRequest("file", f"the zip file has two files {name!r}")
         seen.add(name.lower())
-        found[name] = entry
-    return found
+        entry_by_name[name] = entry
+    return entry_by_name

@@ -32,13 +32,13 @@ _MAX_ELEMENTS = {
 }
 """Largest length of each top-level array of a glTF file."""
 _MAX_PRIMITIVES = 10_000
-"""Of all meshes of a glTF file."""
+"""Largest number of primitives of all meshes of a glTF file together."""
 _MAX_PIECES = 2_000
-"""Materials of an obj file, solids of an stl file. The parser's time is their number times that of the rest."""
+"""Largest number of materials of an obj file, or of solids of an stl file: a factor of the parser's time."""
 MAX_3MF = 2**27
 """Bytes of all files in a 3mf file, unpacked."""
 _COUNT = rb"<(?:triangles|polylist|polygons|trifans|tristrips)\b[^>]*?\bcount\s*=\s*[\"'](\d{1,18})"
-"""How many triangles or polygons an element of COLLADA says that it has."""
+"""Pattern of a COLLADA element's stated number of triangles or polygons."""
 _MAX_BLANK_LINES = 1_000
 """Lines at the end of a ply file in text, beyond those that its header declares."""
 
@@ -172,7 +172,7 @@ def _3mf(data: bytes, max_faces: int) -> None:
         files = unpack_archive(data, MAX_3MF)
     except InvalidRequest as error:
         raise Unreadable(error.detail) from error
-    models = [one for name, one in files.items() if name.lower().endswith(".model")]
+    models = [model for name, model in files.items() if name.lower().endswith(".model")]
     if not models:
         raise Unreadable("there is no 3D model in it")
     for model in models:

@@ -154,9 +154,9 @@ def lights_map(lights: Lights) -> EnvironmentMap:
 
 def _seen_from_the_origin(lights: Lights) -> list[tuple[Doubles, float]]:
     """Returns each light's direction, a unit vector, and its irradiance on a surface that faces it."""
-    found = []
+    sources = []
     for point in lights.points:
-        found.append((np.array(point.position, float), point.energy))
+        sources.append((np.array(point.position, float), point.energy))
     for spot in lights.spots:
         place, axis = np.array(spot.position, float), np.array(spot.direction, float)
         distance = np.linalg.norm(place)
@@ -164,9 +164,9 @@ def _seen_from_the_origin(lights: Lights) -> list[tuple[Doubles, float]]:
             cosine = float(-(place @ axis) / (distance * np.linalg.norm(axis)))
             inner, outer = cos(spot.inner_angle), cos(spot.outer_angle)
             share = min(1.0, max(0.0, (cosine - outer) / max(inner - outer, 1e-9)))
-            found.append((place, spot.energy * share**2))
-    near = [(place / np.linalg.norm(place), energy / float(place @ place)) for place, energy in found if place.any()]
-    far = [(-np.array(one.direction, float), one.energy) for one in lights.directional]
+            sources.append((place, spot.energy * share**2))
+    near = [(place / np.linalg.norm(place), energy / float(place @ place)) for place, energy in sources if place.any()]
+    far = [(-np.array(light.direction, float), light.energy) for light in lights.directional]
     return near + [(towards / np.linalg.norm(towards), energy) for towards, energy in far]
 
 

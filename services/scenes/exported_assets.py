@@ -84,8 +84,8 @@ def _add_again(file: Path, library: Library, limits: Settings) -> None:
         files = {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
         added = library.add(bundle_of(files, sent.kind, sent.mesh, sent.about), limits).name
     except (InvalidRequest, ValidationError) as error:
-        said = error.detail if isinstance(error, InvalidRequest) else f"{file.name} is damaged"
-        raise InvalidRequest("directory", f"the upload {name} in {ASSETS}/uploads cannot be read: {said}") from error
+        message = error.detail if isinstance(error, InvalidRequest) else f"{file.name} is damaged"
+        raise InvalidRequest("directory", f"the upload {name} in {ASSETS}/uploads cannot be read: {message}") from error
     if added != name:
         raise InvalidRequest(
             "directory",

@@ -70,12 +70,12 @@ def _logical_lines(text: str) -> Iterator[str]:
 
 
 def _unescape(text: str) -> str:
-    def one(match: re.Match[str]) -> str:
+    def character(match: re.Match[str]) -> str:
         if match[1]:
             return chr(int(match[1], 16))
         return _ESCAPES.get(match[2], match[2])
 
-    return re.sub(r"\\(?:u([0-9a-fA-F]{4})|(.))", one, text, flags=re.DOTALL)
+    return re.sub(r"\\(?:u([0-9a-fA-F]{4})|(.))", character, text, flags=re.DOTALL)
 
 
 CATALOGUE = "PluginFurnitureCatalog.properties"
@@ -315,11 +315,11 @@ def _files(archive: zipfile.ZipFile, path: str) -> dict[str, bytes]:
     archive.getinfo(path)  # raises KeyError if the model itself is missing
     folder = posixpath.dirname(path) + "/"
     names = sorted(name for name in archive.namelist() if name.startswith(folder) and not name.endswith("/"))
-    wanted = (".obj", ".mtl", ".png", ".jpg", ".jpeg", ".bmp", ".gif")
+    endings = (".obj", ".mtl", ".png", ".jpg", ".jpeg", ".bmp", ".gif")
     return {
         name.removeprefix(folder): archive.read(name)
         for name in names
-        if name == path or (name.lower().endswith(wanted) and not name.lower().endswith(".obj"))
+        if name == path or (name.lower().endswith(endings) and not name.lower().endswith(".obj"))
     }
 
 

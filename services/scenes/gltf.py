@@ -137,7 +137,7 @@ def read_gltf(file: GltfFile, max_faces: int, note: Callable[[str], None] = lamb
     count = 0
     for index, _ in placed:
         if index not in primitives:
-            read = (_primitive(file, *found) for found in file.primitives(index))
+            read = (_primitive(file, *entry) for entry in file.primitives(index))
             primitives[index] = [primitive for primitive in read if primitive is not None]
         count += sum(len(primitive.faces) for primitive in primitives[index])
     if count > max_faces:
@@ -297,8 +297,8 @@ def _parts(primitives: list[_Primitive], materials: list[Material], note: Callab
             parts.append(_part(primitive.taken(used, local.reshape(-1, 3)), material))
     if not parts:
         raise Unreadable("none of its triangles has an area")
-    if said := rounding_note(points, sum(len(primitive.faces) for primitive in primitives), shown):
-        note(said)
+    if sentence := rounding_note(points, sum(len(primitive.faces) for primitive in primitives), shown):
+        note(sentence)
     return fitted(tuple(sorted(parts, key=_blends)))
 
 
@@ -316,19 +316,19 @@ def _blends(part: Part) -> bool:
 
 
 def _part(primitive: _Primitive, material: Material) -> Part:
-    given = primitive.attributes
-    flat = "NORMAL" not in given
+    attributes = primitive.attributes
+    flat = "NORMAL" not in attributes
     if flat:  # give each triangle its own vertices
         primitive = primitive.taken(primitive.faces.ravel(), np.arange(primitive.faces.size).reshape(-1, 3))
     normals = _normals(primitive)
     for name, texture in material.maps.items():
-        if f"TEXCOORD_{texture.uv_set}" not in given:
+        if f"TEXCOORD_{texture.uv_set}" not in attributes:
             raise Unreadable(
                 f"the {name.replace('_', ' ')} texture wants TEXCOORD_{texture.uv_set}, which is not there"
             )
     tangents = np.zeros((len(normals), 4))
     if "normal" in material.maps:
-        if "TANGENT" in given and not flat:
+        if "TANGENT" in attributes and not flat:
             tangents = primitive.attributes["TANGENT"]
             tangents[:, :3] /= np.maximum(np.linalg.norm(tangents[:, :3], axis=1, keepdims=True), 1e-30)
         else:

@@ -65,10 +65,10 @@ class GltfFile:
 
     def array(self, name: str) -> list[Any]:
         """Returns a top-level array of the JSON; empty if the JSON does not have it."""
-        found = self.tree.get(name, [])
-        if not isinstance(found, list):
+        entries = self.tree.get(name, [])
+        if not isinstance(entries, list):
             raise Unreadable(f"its {name} are not a list")
-        return found
+        return entries
 
     def item(self, name: str, index: Any) -> dict[str, Any]:
         """Returns an element of a top-level array."""
@@ -77,8 +77,8 @@ class GltfFile:
             raise Unreadable(f"it refers to {name}[{index!r}], which is not there")
         if not isinstance(entries[index], dict):
             raise Unreadable(f"{name}[{index}] is not an object")
-        found: dict[str, Any] = entries[index]
-        return found
+        entry: dict[str, Any] = entries[index]
+        return entry
 
     def items(self, name: str) -> list[dict[str, Any]]:
         """Returns a top-level array of objects; empty if the JSON does not have it."""
@@ -89,7 +89,7 @@ class GltfFile:
 
         The attributes have POSITION. Points and lines are left out.
         """
-        found = []
+        primitives = []
         for k, entry in enumerate(elements(self.item("meshes", mesh), "primitives", f"meshes[{mesh}]")):
             where = f"meshes[{mesh}].primitives[{k}]"
             if not isinstance(entry, dict):
@@ -102,8 +102,8 @@ class GltfFile:
             attributes = entry.get("attributes")
             if not isinstance(attributes, dict) or "POSITION" not in attributes:
                 raise Unreadable(f"{where} has no attributes.POSITION, the accessor of its vertices")
-            found.append((where, entry, attributes))
-        return found
+            primitives.append((where, entry, attributes))
+        return primitives
 
     def count(self, index: Any) -> int:
         """Returns the number of elements that an accessor declares."""
@@ -174,11 +174,11 @@ class GltfFile:
         entry = self.item("buffers", index)
         if index not in self._buffers:
             chunk = index == 0 and "uri" not in entry
-            found = self._binary if chunk else self._at(entry.get("uri"), f"buffers[{index}]")
+            content = self._binary if chunk else self._at(entry.get("uri"), f"buffers[{index}]")
             length = size(entry.get("byteLength"), f"buffers[{index}].byteLength")
-            if length > len(found):
+            if length > len(content):
                 raise Unreadable(f"buffers[{index}].byteLength is {length:,}, which is more than the file holds")
-            self._buffers[index] = found[:length]
+            self._buffers[index] = content[:length]
         return self._buffers[index]
 
     def _at(self, uri: Any, where: str) -> bytes:
@@ -221,10 +221,10 @@ def size(value: Any, where: str) -> int:
 
 def elements(entry: dict[str, Any], name: str, where: str) -> list[Any]:
     """Returns a property that is a list; empty if it is left out. Raises Unreadable, which names it, for others."""
-    found = entry.get(name, [])
-    if not isinstance(found, list):
+    entries = entry.get(name, [])
+    if not isinstance(entries, list):
         raise Unreadable(f"{where}.{name} is not a list")
-    return found
+    return entries
 
 
 def numbers(
@@ -234,10 +234,10 @@ def numbers(
 
     Raises Unreadable, which names the property, for any other value.
     """
-    given = entry.get(name, default)
-    if not isinstance(given, list | tuple) or len(given) != len(default):
+    values = entry.get(name, default)
+    if not isinstance(values, list | tuple) or len(values) != len(default):
         raise Unreadable(f"{where}.{name} is not a list of {len(default)} numbers")
-    return np.array([_checked(value, low, high, f"{where}.{name}") for value in given])
+    return np.array([_checked(value, low, high, f"{where}.{name}") for value in values])
 
 
 def number(entry: Any, name: str, default: float, low: float, high: float, where: str) -> float:

@@ -79,10 +79,10 @@ def read_image(data: bytes, size: tuple[int, int]) -> Bytes:
         raise InvalidRequest("image", f"it is not a {FORMATS} file, or it is damaged") from error
 
 
-def other_size(found: tuple[int, int], size: tuple[int, int]) -> str:
+def other_size(actual: tuple[int, int], size: tuple[int, int]) -> str:
     """Says that an image has another size, both as height and width, than the camera of its scene."""
     camera = f"{size[1]}×{size[0]} (scene.camera.size)"
-    return f"it has {found[1]}×{found[0]} pixels; the camera of the scene has {camera}"
+    return f"it has {actual[1]}×{actual[0]} pixels; the camera of the scene has {camera}"
 
 
 def _check_size(width: int, height: int) -> None:

@@ -36,7 +36,7 @@ PHRASE_LENGTH = 300
 
 
 class Report(NamedTuple):
-    """What a mesh shows, and what was dropped."""
+    """Report on a mesh: what it shows, and what was dropped."""
 
     used: tuple[str, ...] = ()
     dropped: tuple[str, ...] = ()
@@ -108,9 +108,9 @@ def pack(parts: tuple[Part, ...], report: Report) -> bytes:
     records = []
     for k, part in enumerate(parts):
         own = part.metallic_roughness
-        given = {name: getattr(part, name) for name in ("vertices", "normals", "faces", "color", "uv")}
-        given |= {} if own is None else {name: getattr(own, name) for name in _ATTRIBUTES}
-        arrays |= {f"{k}.{name}": array for name, array in given.items() if array is not None}
+        fields = {name: getattr(part, name) for name in ("vertices", "normals", "faces", "color", "uv")}
+        fields |= {} if own is None else {name: getattr(own, name) for name in _ATTRIBUTES}
+        arrays |= {f"{k}.{name}": array for name, array in fields.items() if array is not None}
         texture = None if part.texture is None else texels(part.texture)
         material = None if own is None else _material_record(own, texels)
         records.append(_Part(uv=part.uv is not None, texels=texture, material=material))
@@ -147,14 +147,14 @@ def _load(data: bytes) -> Arrays:
 
 def _array(arrays: Arrays, name: str, kind: type[np.generic], *shape: int | None) -> NDArray[Any]:
     """Returns an array of a type and shape, in which None is any length of at least 1, with finite values."""
-    found = arrays.get(name)
-    if found is None or found.dtype != kind or found.ndim != len(shape):
+    array = arrays.get(name)
+    if array is None or array.dtype != kind or array.ndim != len(shape):
         raise ValueError(f"{name} is not there, or is no array of {len(shape)} dimensions of {kind.__name__}")
-    if any(length == 0 or wanted not in (None, length) for length, wanted in zip(found.shape, shape, strict=True)):
-        raise ValueError(f"{name} has the shape {found.shape}")
-    if found.dtype.kind == "f" and not np.isfinite(found).all():
+    if any(length == 0 or expected not in (None, length) for length, expected in zip(array.shape, shape, strict=True)):
+        raise ValueError(f"{name} has the shape {array.shape}")
+    if array.dtype.kind == "f" and not np.isfinite(array).all():
         raise ValueError(f"{name} has values that are not finite numbers")
-    return found
+    return array
 
 
 def _part(arrays: Arrays, k: int, record: _Part, textures: list[NDArray[Any]]) -> Part:
@@ -183,8 +183,10 @@ def _part(arrays: Arrays, k: int, record: _Part, textures: list[NDArray[Any]]) -
 def _material_record(material: MetallicRoughness, texels: Callable[[NDArray[Any]], int]) -> _Material:
     fields = {name: getattr(material, name) for name in _Material.model_fields if name not in ("maps", "emissive")}
     maps = {
-        name: _Map.model_validate({"texels": texels(one.texels), "uv_set": one.uv_set, "wrap": list(one.wrap)})
-        for name, one in material.maps.items()
+        name: _Map.model_validate(
+            {"texels": texels(texture.texels), "uv_set": texture.uv_set, "wrap": list(texture.wrap)}
+        )
+        for name, texture in material.maps.items()
     }
     return _Material(**fields, emissive=list(material.emissive), maps=maps)
 
@@ -197,8 +199,8 @@ def _material(arrays: Arrays, k: int, record: _Material, textures: list[NDArray[
     }
     red, green, blue = record.emissive
     maps = {
-        name: TextureMap(_texture(textures, one.texels), one.uv_set, (one.wrap[0], one.wrap[1]))
-        for name, one in record.maps.items()
+        name: TextureMap(_texture(textures, texture.texels), texture.uv_set, (texture.wrap[0], texture.wrap[1]))
+        for name, texture in record.maps.items()
     }
     return MetallicRoughness(**fields, **attributes, emissive=(red, green, blue), maps=maps)
 
@@ -259,9 +261,9 @@ class IsolatedReader:
 
         Raises InvalidRequest("file", …), and JobFailure("internal") if no process can be started.
         """
-        said, payload = self._ask({"map": kind}, data)
+        reply, payload = self._ask({"map": kind}, data)
         try:
-            height, width = said["size"]
+            height, width = reply["size"]
             texels = np.frombuffer(payload, np.float32).reshape(height, width, 3)
         except (ValueError, TypeError, KeyError) as error:
             raise InvalidRequest("file", _GONE) from error
@@ -274,9 +276,9 @@ class IsolatedReader:
 
         Raises InvalidRequest("file", …), and JobFailure("internal") if no process can be started.
         """
-        said, payload = self._ask({"archive": most}, data)
+        reply, payload = self._ask({"archive": most}, data)
         try:
-            return split(said["files"], payload, most)
+            return split(reply["files"], payload, most)
         except (ValueError, TypeError, KeyError) as error:
             log.error("a reading process gave an answer that is no list of files", error=str(error))
             raise InvalidRequest("file", _GONE) from error
@@ -310,21 +312,21 @@ class IsolatedReader:
                 self._hand_over(theirs)
             try:
                 ours.sendall(json.dumps(request).encode() + b"\n")
-                for one in data:
-                    ours.sendall(one)
+                for chunk in data:
+                    ours.sendall(chunk)
                 ours.shutdown(socket.SHUT_WR)
                 answer = _received(ours)
             except (OSError, ValueError) as error:  # the child was killed, or says more than it may
                 raise InvalidRequest(_field(request), _GONE) from error
         head, _, payload = answer.partition(b"\n")
         try:
-            said = json.loads(head)
-            refused = (str(said["field"]), str(said["detail"])) if "field" in said else None
+            reply = json.loads(head)
+            refused = (str(reply["field"]), str(reply["detail"])) if "field" in reply else None
         except (ValueError, TypeError, KeyError) as error:
             raise InvalidRequest(_field(request), _GONE) from error
         if refused is not None:
             raise InvalidRequest(*refused)
-        return said, payload
+        return reply, payload
 
     def _hand_over(self, end: socket.socket) -> None:
         """Gives the server the child's end of a connection; a server that has died is started again."""
@@ -355,11 +357,11 @@ class IsolatedReader:
         self._control = ours
         ours.settimeout(START_SECONDS)
         try:
-            said = json.loads(ours.recv(2**16))
+            started = json.loads(ours.recv(2**16))
         except (OSError, ValueError) as error:
             self._end()
             raise JobFailure("internal", "the process that reads files does not start; the log says why") from error
-        for sentence in said["missing"]:
+        for sentence in started["missing"]:
             log.warning("files are read with less isolation", detail=sentence)
         return ours
 
@@ -377,26 +379,26 @@ class IsolatedReader:
 
 @lru_cache(maxsize=1)
 def reader() -> IsolatedReader:
-    """This process's reader. It ends with this process."""
-    found = IsolatedReader()
-    atexit.register(found.close)
-    return found
+    """Returns this process's reader, which ends with this process."""
+    started = IsolatedReader()
+    atexit.register(started.close)
+    return started
 
 
 def split(files: list[Any], payload: bytes, most: int) -> dict[str, bytes]:
     """Returns the files of names and lengths that follow each other in `payload`. Raises ValueError or TypeError."""
-    found: dict[str, bytes] = {}
+    split_files: dict[str, bytes] = {}
     start = 0
     if len(files) > MAX_FILES or len(payload) > most:
         raise ValueError("there is more than was asked for")
     for name, length in files:
-        if not isinstance(length, int) or length < 0 or name in found or clean_name(name) != name:
+        if not isinstance(length, int) or length < 0 or name in split_files or clean_name(name) != name:
             raise ValueError(f"{name!r} of {length!r} bytes is no file")
-        found[name] = payload[start : start + length]
+        split_files[name] = payload[start : start + length]
         start += length
     if start != len(payload):
         raise ValueError("the files are not as long as they are said to be")
-    return found
+    return split_files
 
 
 def _received(connection: socket.socket) -> bytes:
@@ -414,6 +416,6 @@ def _field(request: dict[str, Any]) -> str:
 
 
 def _environment() -> dict[str, str]:
-    """What Python needs to find the project; numpy's threads would not survive a fork."""
+    """Environment variables with which Python finds the project; numpy's threads would not survive a fork."""
     project = Path(services.__file__).parents[1]
     return {"PYTHONPATH": os.fspath(project), "PYTHONUTF8": "1", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}

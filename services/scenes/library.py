@@ -104,7 +104,7 @@ def upload_entry(record: Upload) -> Entry:
 
 
 def environment_entry(name: str) -> Entry:
-    """The entry of a map in the folder of maps. Of one that the set-up did not fetch, nobody knows whose it is."""
+    """The entry of a map in the folder of maps. The creator of a map that the set-up did not fetch is unknown."""
     fetched = name in FETCHED
     return Entry(
         name=name,
@@ -189,7 +189,7 @@ class Library:
             record = self._uploads.record(upload[1]) if may_use(name) else None
             if record is None or not is_map(record.kind):
                 raise InvalidRequest("environment", f"there is no environment map {name!r}")
-        elif name != environment.LIGHTS and not (known := {one.name: one for one in self.environments()}).get(name):
+        elif name != environment.LIGHTS and not (known := {item.name: item for item in self.environments()}).get(name):
             hint = "" if len(known) > 1 else f"; {SETUP}"
             raise InvalidRequest("environment", _unknown("environment map", name, known) + hint)
 
@@ -200,8 +200,10 @@ class Library:
 
     def titles(self, names: Iterable[str]) -> dict[str, str]:
         """The titles that people gave uploads, by name; `names` may have others, which are left out."""
-        records = {name: self._uploads.record(found[1]) for name in names if (found := _UPLOAD.fullmatch(name))}
-        return {name: one.about.title for name, one in records.items() if one is not None and one.about.title}
+        records = {name: self._uploads.record(match[1]) for name in names if (match := _UPLOAD.fullmatch(name))}
+        return {
+            name: record.about.title for name, record in records.items() if record is not None and record.about.title
+        }
 
     def upload(self, name: str) -> Bundle | None:
         """Returns an upload as it was sent, a mesh or a map; None for a name that is no upload's.
@@ -263,7 +265,7 @@ class Library:
         if upload := _UPLOAD.fullmatch(name):
             record = self._uploads.record(upload[1])
             return None if record is None else upload_entry(record)
-        return next((one for one in self._shipped() if one.name == name), None)
+        return next((entry for entry in self._shipped() if entry.name == name), None)
 
     def picture(self, name: str) -> bytes | None:
         """Returns the PNG file of the picture that a furniture library has of a mesh, `furniture/<slug>`; else None."""
@@ -319,8 +321,8 @@ class Library:
         kind, _, rest = name.partition("/")
         if kind == "primitive" and rest in PRIMITIVES:
             return primitive(rest)
-        if found := _UPLOAD.fullmatch(name):
-            upload = self._uploads.record(found[1])
+        if match := _UPLOAD.fullmatch(name):
+            upload = self._uploads.record(match[1])
             if upload is not None and is_map(upload.kind):
                 raise InvalidRequest("mesh", f"{name!r} is an environment map, for lights.environment.map")
             if upload is not None:
@@ -359,12 +361,14 @@ def _unknown(what: str, name: str, known: Iterable[str]) -> str:
 
 
 def _unknown_mesh(name: str, known: list[str]) -> str:
-    """As `_unknown`; names the mesh if only its folder was left out, and says how meshes are named if none is close."""
-    same = [one for one in known if one.rpartition("/")[2] == name.lower()]
-    said = f"there is no mesh {name!r}; did you mean {same[0]!r}?" if same else _unknown("mesh", name, known)
-    if said.endswith("?"):
-        return said
+    """Returns the message of `_unknown`. It names the mesh if only its folder was left out, and says how meshes are
+    named if no name is close.
+    """
+    same = [known_name for known_name in known if known_name.rpartition("/")[2] == name.lower()]
+    message = f"there is no mesh {name!r}; did you mean {same[0]!r}?" if same else _unknown("mesh", name, known)
+    if message.endswith("?"):
+        return message
     return (
-        f"{said}; a mesh is furniture/<slug>, primitive/<name>, or the sha256:<64 hex digits> that the upload of a "
+        f"{message}; a mesh is furniture/<slug>, primitive/<name>, or the sha256:<64 hex digits> that the upload of a "
         "file answered; GET /v1/scenes and `scene-attack assets list` list all of them"
     )

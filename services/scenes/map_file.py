@@ -32,10 +32,10 @@ def read_hdr(data: bytes, most: int) -> Floats:
     if b"FORMAT=32-bit_rle_rgbe" not in header:
         raise Unreadable("its header does not say FORMAT=32-bit_rle_rgbe")
     size, newline, _ = rest.partition(b"\n")
-    found = re.fullmatch(rb"-Y (\d{1,6}) \+X (\d{1,6})", size.strip())
-    if found is None or not newline:
+    match = re.fullmatch(rb"-Y (\d{1,6}) \+X (\d{1,6})", size.strip())
+    if match is None or not newline:
         raise Unreadable(f"its size is {size[:40].decode('latin-1')!r}; -Y <height> +X <width> is read")
-    height, width = int(found[1]), int(found[2])
+    height, width = int(match[1]), int(match[2])
     if not 0 < height * width <= most:
         raise Unreadable(f"it has {width:,}×{height:,} texels; at most {most:,} are taken")
     exposure = 1.0
@@ -110,8 +110,8 @@ def read_map(data: bytes, kind: str) -> Floats:
     except MemoryError:
         raise
     except Exception as error:  # OpenEXR raises many types of exceptions
-        said = shortened(error) if isinstance(error, Unreadable) else DAMAGED
-        raise InvalidRequest("file", f"it is not a readable {kind} map: {said}") from error
+        message = shortened(error) if isinstance(error, Unreadable) else DAMAGED
+        raise InvalidRequest("file", f"it is not a readable {kind} map: {message}") from error
     infinite = int((~np.isfinite(texels)).any(axis=-1).sum())
     negative = int((texels < 0).any(axis=-1).sum())
     for count, what in ((infinite, "not finite numbers"), (negative, "negative")):
@@ -136,7 +136,7 @@ def _read_exr(data: bytes) -> Floats:
         planes = file.channels("RGB", Imath.PixelType(Imath.PixelType.FLOAT))
     finally:
         file.close()
-    return np.stack([np.frombuffer(one, np.float32).reshape(height, width) for one in planes], axis=-1)
+    return np.stack([np.frombuffer(plane, np.float32).reshape(height, width) for plane in planes], axis=-1)
 
 
 def _reduced(texels: Floats) -> Floats:

@@ -78,7 +78,7 @@ class MetallicRoughness(MaterialSettings):
 
     @property
     def plain(self) -> bool:
-        """Whether it is solid, and base colour, metallic and roughness are all there is to it."""
+        """Whether it is solid and has nothing but base colour, metallic and roughness."""
         dark = not any(self.emissive)
         return self.solid and dark and not self.maps and bool((self.vertex_colors == 1).all())
 

@@ -32,15 +32,15 @@ def is_z_up(data: bytes, kind: str) -> bool:
 
 def upright(parts: tuple[Part, ...]) -> tuple[Part, ...]:
     """Returns the parts of a file in which +z is up with +y up: turned about x by −90°, which leaves them fitted."""
-    found = []
+    turned_parts = []
     for part in parts:
         own = part.metallic_roughness
         turned = replace(part, vertices=_turned(part.vertices), normals=_turned(part.normals))
         if own is not None:
             tangents = np.concatenate([_turned(own.tangents[:, :3]), own.tangents[:, 3:]], axis=1)
             turned = replace(turned, metallic_roughness=replace(own, tangents=tangents))
-        found.append(turned)
-    return tuple(found)
+        turned_parts.append(turned)
+    return tuple(turned_parts)
 
 
 def _turned(vectors: NDArray[Any]) -> NDArray[Any]:
@@ -92,8 +92,8 @@ def _parts(data: bytes, kind: str, max_faces: int, beside: Beside, note: Callabl
     except TooLarge as error:
         raise InvalidRequest("file", str(error)) from error
     except Exception as error:  # parsers raise many types of exceptions; in every case the file is invalid
-        said = shortened(error) if isinstance(error, Unreadable) else DAMAGED
-        raise InvalidRequest("file", f"it is not a readable {kind} mesh: {said}") from error
+        message = shortened(error) if isinstance(error, Unreadable) else DAMAGED
+        raise InvalidRequest("file", f"it is not a readable {kind} mesh: {message}") from error
     count = triangles(scene)
     if count > max_faces:
         raise InvalidRequest("file", str(TooLarge(count, "triangles", max_faces)))
@@ -103,8 +103,8 @@ def _parts(data: bytes, kind: str, max_faces: int, beside: Beside, note: Callabl
         return to_parts(read_surfaces(scene, opacity), note=note)
     except (ValueError, OSError, SyntaxError) as error:  # a damaged texture is an OSError or a SyntaxError of Pillow
         is_ours = isinstance(error, Unreadable)
-        said = shortened(error) if is_ours else "a texture or its coordinates are damaged, or cut off"
-        raise InvalidRequest("file", f"it cannot be shown: {said}") from error
+        message = shortened(error) if is_ours else "a texture or its coordinates are damaged, or cut off"
+        raise InvalidRequest("file", f"it cannot be shown: {message}") from error
 
 
 def _in_doubles(ply: bytes) -> bytes:
@@ -126,7 +126,7 @@ def triangles(scene: trimesh.Scene) -> int:
 
 
 _3MF = {b"<basematerials": "materials", b":colorgroup": "colours", b":texture2d": "textures"}
-"""What a model in a 3mf file may have, and the parser passes over."""
+"""Elements of a model in a 3mf file that the parser passes over, with their names in a report."""
 _NOT_DRAWN = {"animations": "animations", "skins": "skins", "cameras": "cameras"}
 
 
@@ -143,8 +143,8 @@ def report(data: bytes, kind: str, beside: Beside, parts: Sequence[Part], notes:
     if kind == "off" and data.startswith(b"COFF"):
         dropped.append("vertex colours")
     if kind == "ply" and (red := re.search(rb"(?m)^property \w+ red\b", data[: data.find(b"end_header")])):
-        said = "face colours" if b"element face" in data[: red.start()] else "vertex colours"
-        (dropped if any(one.startswith("texture ") for one in used) else used).append(said)
+        colours = "face colours" if b"element face" in data[: red.start()] else "vertex colours"
+        (dropped if any(entry.startswith("texture ") for entry in used) else used).append(colours)
     if kind in ("glb", "gltf"):
         more, less = _gltf(GltfFile(data.removeprefix(b"\xef\xbb\xbf"), beside), parts)
         used, dropped = used + more, dropped + less
@@ -155,7 +155,9 @@ def report(data: bytes, kind: str, beside: Beside, parts: Sequence[Part], notes:
     if any(_is_partly_opaque(part) for part in parts):
         dropped.append("partial opacity of colours: below a half is cut out, the rest is opaque")
     if kind == "3mf":
-        models = b"".join(one for name, one in unpack_archive(data, MAX_3MF).items() if name.lower().endswith(".model"))
+        models = b"".join(
+            content for name, content in unpack_archive(data, MAX_3MF).items() if name.lower().endswith(".model")
+        )
         dropped += [word for mark, word in _3MF.items() if mark in models]
     return Report(listed(used), listed(dropped))
 
@@ -163,27 +165,27 @@ def report(data: bytes, kind: str, beside: Beside, parts: Sequence[Part], notes:
 def _files(beside: Beside, textured: bool) -> tuple[list[str], list[str]]:
     used: list[str] = []
     dropped: list[str] = []
-    found: set[str | None] = set()
-    for one in beside.named:
-        path = beside.find(one.name)
-        said = f"{one.what} {path or one.name}"
-        found.add(path)
+    named_paths: set[str | None] = set()
+    for file in beside.named:
+        path = beside.find(file.name)
+        label = f"{file.what} {path or file.name}"
+        named_paths.add(path)
         if path is None:
-            dropped.append(f"{said} missing")
-        elif not one.is_shown:
-            dropped.append(f"{said} not used")
-        elif one.what == "texture" and not textured:
-            dropped.append(f"{said} not used: the mesh has no texture coordinates")
+            dropped.append(f"{label} missing")
+        elif not file.is_shown:
+            dropped.append(f"{label} not used")
+        elif file.what == "texture" and not textured:
+            dropped.append(f"{label} not used: the mesh has no texture coordinates")
         else:
-            used.append(said)
-            dropped += _detail(said, open_texture(beside.data(path), path)) if one.what == "texture" else []
+            used.append(label)
+            dropped += _detail(label, open_texture(beside.data(path), path)) if file.what == "texture" else []
     for options in re.findall(r"(?mi)^\s*map_Kd\s+(-\S.*)$", beside.libraries()):
         words, name = texture_name(options)
         dropped.append(f"options {words} of the texture {name}")
     dropped += [
         f"opacity 0 of the material {name}" for name, value in read_opacity(beside.libraries()).items() if not value
     ]
-    dropped += [f"{path} not used: the mesh does not name it" for path in beside.paths if path not in found]
+    dropped += [f"{path} not used: the mesh does not name it" for path in beside.paths if path not in named_paths]
     return used, dropped
 
 
@@ -195,11 +197,11 @@ def _is_partly_opaque(part: Part) -> bool:
     return bool(((opacity > 0) & (opacity < 255)).any())
 
 
-def _detail(said: str, image: Image.Image) -> list[str]:
-    """What of a texture's texels is not shown."""
+def _detail(label: str, image: Image.Image) -> list[str]:
+    """Returns a report on a texture that is shown with fewer texels than it has; an empty list for all others."""
     if max(image.size) <= MAX_TEXTURE:
         return []
-    return [f"detail of {said}: {image.width}×{image.height} texels, of which at most {MAX_TEXTURE} a side are shown"]
+    return [f"detail of {label}: {image.width}×{image.height} texels, of which at most {MAX_TEXTURE} a side are shown"]
 
 
 def _gltf(file: GltfFile, parts: Sequence[Part]) -> tuple[list[str], list[str]]:

@@ -108,12 +108,12 @@ def answer(descriptor: int) -> None:
         pieces.append(piece)
     head, _, data = b"".join(pieces).partition(b"\n")
     try:
-        said, payload = read(json.loads(head), data)
+        reply, payload = read(json.loads(head), data)
     except InvalidRequest as error:
-        said, payload = {"field": error.field, "detail": error.detail}, b""
+        reply, payload = {"field": error.field, "detail": error.detail}, b""
     except MemoryError:
-        said, payload = {"field": "file", "detail": "it needs more memory than reading a file may take"}, b""
-    view = memoryview(json.dumps(said).encode() + b"\n" + payload)
+        reply, payload = {"field": "file", "detail": "it needs more memory than reading a file may take"}, b""
+    view = memoryview(json.dumps(reply).encode() + b"\n" + payload)
     while view:
         view = view[os.write(descriptor, view) :]
 
@@ -141,7 +141,7 @@ def read(request: dict[str, Any], data: bytes) -> tuple[dict[str, Any], bytes]:
         return {"size": texels.shape[:2]}, texels.tobytes()
     if "archive" in request:
         files_of = unpack_archive(data, request["archive"])
-        return {"files": [[name, len(one)] for name, one in files_of.items()]}, b"".join(files_of.values())
+        return {"files": [[name, len(content)] for name, content in files_of.items()]}, b"".join(files_of.values())
     if "image" in request:
         height, width = request["image"]
         return {}, read_image(data, (height, width)).tobytes()
@@ -173,7 +173,7 @@ def exported(mesh: trimesh.Trimesh, kind: str) -> bytes:
 
 
 def _trial(base: int) -> list[str]:
-    """What a child cannot be refused."""
+    """Returns a phrase for each right that a child could not be refused."""
     ours, theirs = os.pipe()
     pid = os.fork()
     if not pid:
@@ -182,8 +182,8 @@ def _trial(base: int) -> list[str]:
         finally:
             os._exit(0)
     os.close(theirs)
-    with os.fdopen(ours) as said:
-        missing: list[str] = json.load(said)
+    with os.fdopen(ours) as pipe:
+        missing: list[str] = json.load(pipe)
     os.waitpid(pid, 0)
     return missing
 

@@ -36,7 +36,7 @@ from services.scenes.solids import OPAQUE_FROM, has_holes
 from services.scenes.view import camera_to_world, model_matrix, projection, visible_area
 
 METALLIC, ROUGHNESS = 0.0, 0.5
-"""What a surface has of the two if only the other is given."""
+"""Metallic and roughness of a surface for which only the other one is given."""
 REPEAT = (10497, 10497)
 """OpenGL's wrap modes of a texture that repeats, as those of files without sampler settings do."""
 
@@ -49,15 +49,15 @@ def with_surface(mesh: Mesh, metallic: float | None, roughness: float | None) ->
     """
     if metallic is None and roughness is None:
         return mesh
-    given = METALLIC if metallic is None else metallic, ROUGHNESS if roughness is None else roughness
-    return replace(mesh, parts=tuple(with_surface_of_part(part, *given) for part in mesh.parts))
+    finish = METALLIC if metallic is None else metallic, ROUGHNESS if roughness is None else roughness
+    return replace(mesh, parts=tuple(with_surface_of_part(part, *finish) for part in mesh.parts))
 
 
 def with_surface_of_part(part: Part, metallic: float, roughness: float) -> Part:
-    """`with_surface` for one part of a mesh."""
+    """Does for one part of a mesh what `with_surface` does for all."""
     own = part.metallic_roughness
     if own is not None:
-        maps: dict[MapName, TextureMap] = {k: one for k, one in own.maps.items() if k != "metallic_roughness"}
+        maps: dict[MapName, TextureMap] = {k: texture for k, texture in own.maps.items() if k != "metallic_roughness"}
         return replace(
             part, metallic_roughness=replace(own, metallic=metallic, roughness=roughness, maps=maps, given=True)
         )
@@ -121,9 +121,9 @@ DISPLAYED_WHITE = 0.9
 """Linear value of the brightest channel of the white Lambertian surface that a map lights most; the torch renderer's
 exposure is the same, so that objects and background fit together."""
 EXPOSURE_NORMALS = (16, 32)
-"""Rows and columns of the grid of normals among which that surface is found."""
+"""Rows and columns of the grid of normals that are searched for that surface."""
 BACKGROUND_SAMPLES = 2
-"""Rays a side of each pixel, whose radiances are averaged."""
+"""Rays along each side of a pixel; their radiances are averaged."""
 
 
 def read_picture(text: str, size: tuple[int, int]) -> Doubles:
@@ -241,7 +241,7 @@ class ResolvedScene:
     """
 
     description: Scene
-    """The request's scene, but that the height of a floor is that in the world."""
+    """The request's scene, with the height of its floor in the world."""
     meshes: tuple[Mesh, ...]
     models: tuple[Doubles, ...]
     view: Doubles
@@ -253,29 +253,31 @@ class ResolvedScene:
     picture: Doubles | None = None
     """The picture behind the objects, displayed values [H, W, 3] in [0,1]; None if the scene has none."""
     titles: Mapping[str, str] = field(default_factory=dict)
-    """What people call the uploads among the meshes, by name."""
+    """Titles that people gave the uploads among the meshes, by name."""
     measured: dict[Hashable, Any] = field(init=False, repr=False, default_factory=dict)
-    """What `once` found. A changed copy of the scene begins without."""
+    """Results kept by `once`. A changed copy of the scene begins without any."""
 
     def once(self, what: Hashable, measure: Callable[[], T]) -> T:
-        """What `measure` returns, measured once for this scene. `what` names it and all else that it depends on."""
+        """Returns the result of `measure`, which is called once for this scene. `what` names the result and all else
+        that it depends on.
+        """
         if what not in self.measured:
             self.measured[what] = measure()
-        found: T = self.measured[what]
-        return found
+        value: T = self.measured[what]
+        return value
 
     @property
     def shows_map(self) -> bool:
-        """Whether the environment map is what is behind the objects."""
+        """Whether the environment map is seen behind the objects."""
         return self.description.background is not None and self.picture is None
 
     @cached_property
     def ground(self) -> Doubles:
-        """What is behind the objects, displayed values: one colour [3], or an image [H, W, 3]."""
+        """The background behind the objects, displayed values: one colour [3], or an image [H, W, 3]."""
         return self.ground_from(self.projection @ np.linalg.inv(self.view))
 
     def ground_from(self, clip_from_world: Doubles) -> Doubles:
-        """What is behind the objects before another camera [4,4]: a colour and a picture stay as they are."""
+        """The background that another camera [4,4] sees; a colour and a picture stay as they are."""
         if self.picture is not None:
             return self.picture
         if not self.shows_map:
@@ -288,7 +290,7 @@ class ResolvedScene:
 
     @cached_property
     def placed(self) -> tuple[PlacedMesh, ...]:
-        """All that is drawn: the objects in their order, then the floor, if there is one."""
+        """Everything that is drawn: the objects in their order, then the floor if there is one."""
         things = self.description.objects
         placed = [
             PlacedMesh(f"object {k}", f"scene.objects.{k}", mesh, model, thing)
@@ -380,12 +382,12 @@ def fingerprint(description: BaseModel, contents: Sequence[str]) -> str:
 
 def _meshes(library: Library, scene: Scene) -> tuple[Mesh, ...]:
     """The objects' meshes; objects of the same mesh and surface share one, so that it is uploaded once."""
-    made: dict[tuple[str, float | None, float | None], Mesh] = {}
+    meshes: dict[tuple[str, float | None, float | None], Mesh] = {}
     for k, thing in enumerate(scene.objects):
         key = thing.mesh, thing.metallic, thing.roughness
-        if key not in made:
-            made[key] = with_surface(_mesh(library, k, thing.mesh), thing.metallic, thing.roughness)
-    return tuple(made[thing.mesh, thing.metallic, thing.roughness] for thing in scene.objects)
+        if key not in meshes:
+            meshes[key] = with_surface(_mesh(library, k, thing.mesh), thing.metallic, thing.roughness)
+    return tuple(meshes[thing.mesh, thing.metallic, thing.roughness] for thing in scene.objects)
 
 
 def _environment(library: Library, scene: Scene) -> EnvironmentMap:

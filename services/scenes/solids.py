@@ -11,11 +11,11 @@ from scipy.sparse.csgraph import connected_components
 from services.scenes.mesh import Integers, Mesh, Part
 
 MAX_PAIRS = 2**28
-"""Most pairs of a face and a vertex that are looked at; a mesh of more of them counts as not convex."""
+"""Largest number of pairs of a face and a vertex that are checked; a mesh of more pairs counts as not convex."""
 FLATNESS = 1e-5
-"""How far a vertex may be before the plane of a face, as a share of the part's extent: more than rounding."""
+"""Largest distance of a vertex in front of the plane of a face, as a share of the part's extent: above rounding."""
 PAIRS_AT_ONCE = 2**18
-"""Pairs that are looked at at once: 1 MB, which stays in the processor's cache."""
+"""Pairs that are checked at a time: 1 MB, which stays in the processor's cache."""
 
 
 def is_convex(mesh: Mesh) -> bool:
@@ -62,7 +62,7 @@ def _convex(same: _Same) -> bool:
 
 
 def _closed(faces: Integers) -> bool:
-    """Whether each edge of the faces [F, 3] is that of one other face, which runs through it the other way."""
+    """Whether each edge of the faces [F, 3] belongs to exactly one other face, which has it in the other direction."""
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
     edges = edges[edges[:, 0] != edges[:, 1]]
     count = int(faces.max(initial=0)) + 1
@@ -131,8 +131,8 @@ def _surfaces(faces: NDArray[np.int64], points: int) -> tuple[NDArray[np.int64],
     balance = np.bincount(edge, np.sign(edges[:, 1] - edges[:, 0]), len(uses))
     order = np.argsort(edge, kind="stable")
     first = (np.cumsum(uses) - uses)[uses == 2]
-    one, other = owner[order[first]], owner[order[first + 1]]
-    links = coo_array((np.ones(len(one), bool), (one, other)), shape=(len(faces), len(faces)))
+    first_owner, second_owner = owner[order[first]], owner[order[first + 1]]
+    links = coo_array((np.ones(len(first_owner), bool), (first_owner, second_owner)), shape=(len(faces), len(faces)))
     _, surface = connected_components(links, directed=False)
     broken = ((uses != 2) | (balance != 0))[edge]
     return surface, np.bincount(surface[owner], broken, surface.max(initial=-1) + 1) == 0

@@ -39,13 +39,13 @@ def save_parts(path: Path, parts: tuple[Part, ...]) -> None:
 
 def limit(directory: Path, most: int) -> None:
     """Removes the meshes that were not used for longest, until the others take at most `most` bytes."""
-    found = []
+    files = []
     for path in directory.glob("*.npz"):
         with suppress(FileNotFoundError):  # removed meanwhile
             status = path.stat()
-            found.append((status.st_mtime, status.st_size, path))
-    total = sum(size for _, size, _ in found)
-    for _, size, path in sorted(found):
+            files.append((status.st_mtime, status.st_size, path))
+    total = sum(size for _, size, _ in files)
+    for _, size, path in sorted(files):
         if total <= most:
             return
         path.unlink(missing_ok=True)

@@ -114,8 +114,8 @@ def to_parts(
     at_origin = (vertices - used.mean(axis=0)) / extent
 
     smoothed = smooth_normals(at_origin, faces, crease)
-    if said := rounding_note(used, len(faces), len(smoothed.faces)):
-        note(said)
+    if sentence := rounding_note(used, len(faces), len(smoothed.faces)):
+        note(sentence)
     if not len(smoothed.faces):
         raise Unreadable("none of its triangles has an area")
     parts = []

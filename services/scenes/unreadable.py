@@ -1,14 +1,14 @@
 """The errors of files that cannot be read, and of those that are too large."""
 
 DAMAGED = "it is damaged, or cut off"
-"""What is said where a parser that is not ours stops: its own words are about itself, not about the file."""
+"""Message where a third-party parser stops, whose own message is about itself and not about the file."""
 
 
 SIMPLIFY = (
     "simplify it, by Blender's modifier Decimate or by trimesh's simplify_quadric_decimation, or raise the service's "
     "setting SCENE_ATTACK_MAX_FACES"
 )
-"""What to do about a mesh of too many triangles."""
+"""Advice about a mesh of too many triangles."""
 
 
 class Unreadable(ValueError):

@@ -41,13 +41,13 @@ class Upload(BaseModel):
     triangles: int
     about: About = NOTHING_SAID
     used: tuple[str, ...] = ()
-    """What the mesh shows of the files."""
+    """Files and their features that the mesh shows."""
     notes: tuple[str, ...] = ()
-    """What it does not show, or what is missing."""
+    """Features that the mesh does not show, and files that are missing."""
 
 
 def max_unpacked(limits: Settings) -> int:
-    """Bytes of all files of an upload together, unpacked; what is sent is limited by itself."""
+    """Largest size of all files of an upload together, unpacked, bytes. The request body has a limit of its own."""
     return 4 * limits.max_upload_bytes
 
 
@@ -157,10 +157,10 @@ class Uploads:
             self._files.delete(f"{sha256}{ending}")
         self._kept(sha256).unlink(missing_ok=True)
 
-    def all(self, wanted: Callable[[str], bool] = lambda _: True) -> list[Upload]:
-        """Returns the metadata of the uploads for whose digest `wanted` is true, ordered by digest."""
+    def all(self, selected: Callable[[str], bool] = lambda _: True) -> list[Upload]:
+        """Returns the metadata of the uploads for whose digest `selected` is true, ordered by digest."""
         names = [name.removesuffix(".json") for name in self._files.names() if name.endswith(".json")]
-        return [record for record in map(self.record, filter(wanted, names)) if record is not None]
+        return [record for record in map(self.record, filter(selected, names)) if record is not None]
 
     def load(self, upload: Upload) -> Mesh:
         """Returns the mesh of an upload. Raises JobFailure("asset-missing") if its files are missing or changed."""

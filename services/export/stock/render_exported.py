@@ -65,7 +65,7 @@ class Texture(pyrender.Texture):  # type: ignore[misc]
 
 
 class FloatRenderer(Renderer):  # type: ignore[misc]
-    """pyrender's renderer with a framebuffer of floats, our shaders, and their uniforms."""
+    """Pyrender's renderer with a framebuffer of floats, our shaders, and their uniforms."""
 
     coverage_only = 0
 
@@ -114,26 +114,26 @@ def read_glb(path: Path) -> tuple[dict[str, Any], bytes]:
 
 def floats(head: dict[str, Any], chunk: bytes, number: int, width: int) -> Floats:
     """The values [n, width] of an accessor of float32."""
-    one = head["accessors"][number]
-    start = head["bufferViews"][one["bufferView"]]["byteOffset"]
-    return np.frombuffer(chunk, np.float32, one["count"] * width, start).reshape(-1, width)
+    accessor = head["accessors"][number]
+    start = head["bufferViews"][accessor["bufferView"]]["byteOffset"]
+    return np.frombuffer(chunk, np.float32, accessor["count"] * width, start).reshape(-1, width)
 
 
 def primitive_of(head: dict[str, Any], chunk: bytes, mesh: Any, entry: dict[str, Any]) -> pyrender.Primitive:
-    """pyrender's primitive of trimesh's mesh and of its entry in the file."""
-    given = head["materials"][entry["material"]]
-    reflecting, read = given["pbrMetallicRoughness"], mesh.visual.material
-    strength = given.get("extensions", {}).get("KHR_materials_emissive_strength", {}).get("emissiveStrength", 1.0)
+    """The pyrender primitive of a trimesh mesh and of its entry in the file."""
+    material = head["materials"][entry["material"]]
+    reflecting, read = material["pbrMetallicRoughness"], mesh.visual.material
+    strength = material.get("extensions", {}).get("KHR_materials_emissive_strength", {}).get("emissiveStrength", 1.0)
     uniforms: dict[str, Any] = {
-        "brdf": BRDFS[given["extras"]["brdf"]],
-        "blended": int(given["alphaMode"] == "BLEND"),
-        "alpha_cutoff": float(given.get("alphaCutoff", 0.5)) if given["alphaMode"] == "MASK" else -1.0,
-        "normal_scale": float(given.get("normalTexture", {}).get("scale", 1.0)),
-        "occlusion_strength": float(given.get("occlusionTexture", {}).get("strength", 1.0)),
+        "brdf": BRDFS[material["extras"]["brdf"]],
+        "blended": int(material["alphaMode"] == "BLEND"),
+        "alpha_cutoff": float(material.get("alphaCutoff", 0.5)) if material["alphaMode"] == "MASK" else -1.0,
+        "normal_scale": float(material.get("normalTexture", {}).get("scale", 1.0)),
+        "occlusion_strength": float(material.get("occlusionTexture", {}).get("strength", 1.0)),
     }
     maps = {}
     for name, uniform in MAPS.items():
-        used = reflecting.get(name) or given.get(name)
+        used = reflecting.get(name) or material.get(name)
         if used is not None:
             wrap = head["samplers"][head["textures"][used["index"]]["sampler"]]
             texels = np.array(getattr(read, name).convert("RGBA"))
@@ -142,7 +142,7 @@ def primitive_of(head: dict[str, Any], chunk: bytes, mesh: Any, entry: dict[str,
             uniforms[uniform] = used["texCoord"]
     attributes = entry["attributes"]
     second = floats(head, chunk, attributes["TEXCOORD_1"], 2) if "TEXCOORD_1" in attributes else None
-    made = pyrender.Primitive(
+    primitive = pyrender.Primitive(
         positions=mesh.vertices,
         normals=mesh.vertex_normals,
         tangents=floats(head, chunk, attributes["TANGENT"], 4) if "TANGENT" in attributes else None,
@@ -154,18 +154,18 @@ def primitive_of(head: dict[str, Any], chunk: bytes, mesh: Any, entry: dict[str,
             baseColorFactor=reflecting["baseColorFactor"],
             metallicFactor=reflecting["metallicFactor"],
             roughnessFactor=reflecting["roughnessFactor"],
-            emissiveFactor=strength * np.array(given.get("emissiveFactor", (0.0, 0.0, 0.0))),
+            emissiveFactor=strength * np.array(material.get("emissiveFactor", (0.0, 0.0, 0.0))),
             alphaMode="BLEND" if uniforms["blended"] else "OPAQUE",
-            doubleSided=given["doubleSided"],
+            doubleSided=material["doubleSided"],
             **maps,
         ),
     )
-    made.uniforms = uniforms
-    return made
+    primitive.uniforms = uniforms
+    return primitive
 
 
 def scene_of(path: Path) -> tuple[pyrender.Scene, dict[str, Any]]:
-    """pyrender's scene of a file, and the `extras` of the file's scene."""
+    """The pyrender scene of a file, and the `extras` of the file's scene."""
     head, chunk = read_glb(path)
     extras = head["scenes"][0]["extras"]
     if "ambient" not in extras:
@@ -178,12 +178,12 @@ def scene_of(path: Path) -> tuple[pyrender.Scene, dict[str, Any]]:
         parts = [head["nodes"][k]["name"] for k in node.get("children", ())]
         solid: list[pyrender.Primitive] = []
         blended: list[pyrender.Primitive] = []
-        for part in (one for one in parts if one in names):
+        for part in (name for name in parts if name in names):
             pose, geometry = read.graph[part]
-            made = primitive_of(head, chunk, read.geometry[geometry], entries[geometry])
-            (blended if made.uniforms["blended"] else solid).append(made)
+            primitive = primitive_of(head, chunk, read.geometry[geometry], entries[geometry])
+            (blended if primitive.uniforms["blended"] else solid).append(primitive)
         # Solid parts together, so that they are drawn in the file's order; blended ones each by its own distance.
-        for group in ([solid] if solid else []) + [[one] for one in blended]:
+        for group in ([solid] if solid else []) + [[primitive] for primitive in blended]:
             scene.add(pyrender.Mesh(primitives=group), pose=pose)
     lights = head.get("extensions", {}).get("KHR_lights_punctual", {}).get("lights", [])
     for node in head["nodes"]:
@@ -197,16 +197,16 @@ def scene_of(path: Path) -> tuple[pyrender.Scene, dict[str, Any]]:
     return scene, extras
 
 
-def light_of(given: dict[str, Any]) -> pyrender.Light:
-    """pyrender's light of a light of KHR_lights_punctual; pyrender's intensities are glTF's numbers."""
-    intensity = given["intensity"]
-    if given["type"] == "point":
-        return pyrender.PointLight(color=given["color"], intensity=intensity)
-    if given["type"] == "directional":
-        return pyrender.DirectionalLight(color=given["color"], intensity=intensity)
-    cone = given["spot"]
+def light_of(light: dict[str, Any]) -> pyrender.Light:
+    """The pyrender light of a light of KHR_lights_punctual; pyrender's intensities are glTF's numbers."""
+    intensity = light["intensity"]
+    if light["type"] == "point":
+        return pyrender.PointLight(color=light["color"], intensity=intensity)
+    if light["type"] == "directional":
+        return pyrender.DirectionalLight(color=light["color"], intensity=intensity)
+    cone = light["spot"]
     angles = {"innerConeAngle": cone["innerConeAngle"], "outerConeAngle": cone["outerConeAngle"]}
-    return pyrender.SpotLight(color=given["color"], intensity=intensity, **angles)
+    return pyrender.SpotLight(color=light["color"], intensity=intensity, **angles)
 
 
 def ground_of(extras: dict[str, Any]) -> NDArray[np.float64]:

@@ -12,7 +12,7 @@ from services.questions.executor import Objects
 from services.questions.program import ATTRIBUTE_TYPES
 
 Source = Literal["scene", "relate", "same", "both", "either"]
-"""Where the objects of a phrase come from, before its adjectives and its noun choose among them.
+"""Source of the objects of a phrase, before its adjectives and its noun choose among them.
 
 scene: all objects; relate: those in a relation to the reference; same: those that share an attribute with it; both:
 those in one relation to the first reference and in one to the second; either: those of two other phrases.

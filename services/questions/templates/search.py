@@ -21,7 +21,7 @@ BREADTH = 4
 DRAWS = 12
 """Combinations of adjectives tried for a phrase that stands for a set."""
 ABSENT = 0.4
-"""Share of those, for a phrase about all objects, whose values are drawn without regard to the objects there are."""
+"""Share of these combinations, for a phrase about all objects, that ignore which objects there are."""
 
 
 def instances(family: Family, facts: Facts, random: Random) -> Iterator[tuple[Filled, ...]]:
@@ -44,7 +44,7 @@ def _comparable(first: Filled, second: Filled) -> bool:
 
 
 def _follows(narrow: Filled, wide: Filled) -> bool:
-    """Whether `narrow` can stand for no object that `wide` does not."""
+    """Whether every object that `narrow` can stand for is one that `wide` can stand for."""
     return set(wide.values) <= set(narrow.values) and (
         wide.phrase.source == "scene"
         or (wide.relations, wide.named_objects) == (narrow.relations, narrow.named_objects)
@@ -84,9 +84,14 @@ def _joined(phrase: Phrase, first: Filled, second: Filled, facts: Facts, random:
     elif first.only != second.only:
         for relation in random.sample(RELATIONS, 4):
             for other in random.sample(RELATIONS, 4):
-                one, two = facts.related[relation][first.only], facts.related[other][second.only]
-                if one & two:  # or adjectives have nothing to choose among
-                    yield (first, second), (relation, other), one & two, (one - second.members, two - first.members)
+                first_related, second_related = facts.related[relation][first.only], facts.related[other][second.only]
+                if first_related & second_related:  # or adjectives have nothing to choose among
+                    yield (
+                        (first, second),
+                        (relation, other),
+                        first_related & second_related,
+                        (first_related - second.members, second_related - first.members),
+                    )
 
 
 Values = tuple[tuple[str, str], ...]

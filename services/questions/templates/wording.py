@@ -22,7 +22,7 @@ SYNONYMS = {
     "cube": ("cube", "block"),
     "sphere": ("sphere", "ball"),
 }
-"""What values are called that have more than one name."""
+"""Names of the values that have more than one."""
 
 RELATIONS = {
     "left": ("left of", "to the left of", "on the left side of"),
@@ -40,7 +40,7 @@ COUNT = {
     "both": ("{how many} {nouns} are {where}",),
     "either": ("{how many} {nouns} are [either] {where}",),
 }
-"""How a number is asked for, by the source of the phrase."""
+"""Forms that ask for a number, by the source of the phrase."""
 
 EXIST = {
     "scene": ("are there any {all a}", "is there {an a}", "are any {all a} visible"),
@@ -57,7 +57,7 @@ EXIST = {
         "there is {intro}; is there {an a it}",
     ),
 }
-"""How existence is asked for, by the source of the phrase."""
+"""Forms that ask whether there is an object, by the source of the phrase."""
 
 QUERY = {
     "size": (
@@ -97,7 +97,7 @@ QUERY = {
         "there is {an a}; what is its shape",
     ),
 }
-"""How each attribute of an object is asked for."""
+"""Forms that ask for an attribute of an object, by attribute."""
 
 EQUAL = (
     "do {the a} and {the b} have the same {attribute}",
@@ -108,7 +108,7 @@ EQUAL = (
     "there is {an a}; is it the same {attribute} as {the b}",
     "there is {an a}; is its {attribute} the same as {the b}",
 )
-"""How two objects are compared. "is … the same material as" is no English: `MADE_OF` says it."""
+"""Forms that compare two objects. "is … the same material as" is no English: `MADE_OF` says it."""
 MADE_OF = (
     "do {the a} and {the b} have the same material",
     "does {the a} have the same material as {the b}",
@@ -135,13 +135,13 @@ INTEGERS = {
         "is the number of {all a} greater than the number of {all b}",
     ),
 }
-"""How two numbers are compared."""
+"""Forms that compare two numbers."""
 
 SHARING = {
     True: ("have the same {attribute} as {reference}", "are the same {attribute} as {reference}"),
     False: ("has the same {attribute} as {reference}", "is the same {attribute} as {reference}"),
 }
-"""What several objects (True) or one object share with a reference."""
+"""Forms that say what several objects (True) or one object (False) share with a reference."""
 SHARING_MATERIAL = {
     True: ("have the same material as {reference}", "are [made of] the same material as {reference}"),
     False: ("has the same material as {reference}", "is [made of] the same material as {reference}"),
@@ -179,8 +179,8 @@ class _Wording:
 
     def _filled(self, choices: Sequence[str], fill: Callable[[str], str]) -> str:
         form = self._random.choice(choices)
-        form = _OPTIONAL.sub(lambda found: f"{found[1]} " if self._random.random() < 0.5 else "", form)
-        return _SLOT.sub(lambda found: fill(found[1]), form)
+        form = _OPTIONAL.sub(lambda match: f"{match[1]} " if self._random.random() < 0.5 else "", form)
+        return _SLOT.sub(lambda match: fill(match[1]), form)
 
     def _slot(self, slot: str) -> str:
         first = self._phrases["a"]
@@ -224,7 +224,7 @@ class _Wording:
         return " ".join(self._random.choice(name) for name in names) + ("s" if plural else "")
 
     def _tail(self, phrase: Filled, plural: bool, it: bool) -> str:
-        """What follows the noun, with the blank before it: " that are left of the ball"."""
+        """The words that follow the noun, with the blank before them: " that are left of the ball"."""
         if phrase.phrase.source == "scene":
             return ""
         where = self._where(phrase, plural, it)
@@ -235,7 +235,7 @@ class _Wording:
         return f" {where}" if left_out else f" that {be} {where}"
 
     def _where(self, phrase: Filled, plural: bool, it: bool) -> str:
-        """What is said of the objects of a phrase: "left of the ball", "have the same color as it"."""
+        """The predicate about the objects of a phrase: "left of the ball", "have the same color as it"."""
         references = phrase.references
         match phrase.phrase.source:
             case "relate":
@@ -248,10 +248,13 @@ class _Wording:
             case "both":
                 both = self._random.choice(("both ", ""))
                 pairs = zip(phrase.relations, references, strict=True)
-                return both + " and ".join(f"{self._relation(name)} {self._the(one)}" for name, one in pairs)
+                return both + " and ".join(
+                    f"{self._relation(name)} {self._the(reference)}" for name, reference in pairs
+                )
             case "either":
                 return " or ".join(
-                    f"{self._noun(one, plural=True)}{self._tail(one, True, False)}" for one in references
+                    f"{self._noun(reference, plural=True)}{self._tail(reference, True, False)}"
+                    for reference in references
                 )
         raise AssertionError(phrase.phrase.source)
 

@@ -72,7 +72,7 @@ def describe(record: SceneRecord, size: tuple[int, int] = IMAGE_SIZE) -> Scene:
             size=size,
             viewer="perspective",
         ),
-        objects=tuple(_object(one) for one in record.objects),
+        objects=tuple(_object(thing) for thing in record.objects),
         lights=Lights(
             ambient=AMBIENT,
             points=tuple(
@@ -97,17 +97,17 @@ def rig_of(record: SceneRecord) -> Rig:
     return Rig(camera, key, fill, back)
 
 
-def _object(one: ObjectRecord) -> SceneObject:
-    red, green, blue = RGB[one.color]
+def _object(thing: ObjectRecord) -> SceneObject:
+    red, green, blue = RGB[thing.color]
     return SceneObject(
-        mesh=f"primitive/{one.shape}",
-        material=one.material,
-        metallic=METALLIC[one.material],
-        roughness=ROUGHNESS[one.material],
+        mesh=f"primitive/{thing.shape}",
+        material=thing.material,
+        metallic=METALLIC[thing.material],
+        roughness=ROUGHNESS[thing.material],
         color=(red / 255, green / 255, blue / 255),
-        translation=_ours(one.coords_3d),
-        rotation=(0.0, remainder(radians(one.rotation), 2 * pi), 0.0),
-        scale=bounding_radius(one.shape, one.size) / FIT_RADIUS,
+        translation=_ours(thing.coords_3d),
+        rotation=(0.0, remainder(radians(thing.rotation), 2 * pi), 0.0),
+        scale=bounding_radius(thing.shape, thing.size) / FIT_RADIUS,
     )
 
 
@@ -121,8 +121,8 @@ def _turned(point: Vector, angle: float) -> Vector:
 
 
 CLEARLY = 2.0
-"""A colour is clearly of a name if every other is at least so many times as far. At the middle between two names a
-person, too, may say either."""
+"""Least ratio of the distances to any other named colour and to the nearest at which a colour clearly has that name.
+At the middle between two names a person, too, may say either."""
 
 
 def record_after(record: SceneRecord, scene: Scene) -> SceneRecord:
@@ -135,7 +135,7 @@ def record_after(record: SceneRecord, scene: Scene) -> SceneRecord:
     turn = scene.camera.azimuth - rig_of(record).azimuth
     along: dict[str, Vector] = {name: _turned(direction, turn) for name, direction in record.directions.items()}
     objects = tuple(_read_object(old, new, viewpoint) for old, new in zip(record.objects, scene.objects, strict=True))
-    related = relationships([one.coords_3d for one in objects], along)
+    related = relationships([thing.coords_3d for thing in objects], along)
     return record.model_copy(
         update={
             "objects": objects,
@@ -217,9 +217,9 @@ def scene_of(record: SceneRecord) -> Scene:
         raise InvalidRequest("record.objects", f"there are {len(record.objects)}; a scene has 1 to {MAX_OBJECTS}")
     if missing := [name for name in RELATIONS if name not in record.directions]:
         raise InvalidRequest("record.directions", f"it has no direction of {missing[0]}")
-    for given, absent in (("camera", "lights"), ("lights", "camera")):
-        if getattr(record, given) is not None and getattr(record, absent) is None:
-            raise InvalidRequest(f"record.{absent}", f"is required where `{given}` is given; or leave out both")
+    for present, absent in (("camera", "lights"), ("lights", "camera")):
+        if getattr(record, present) is not None and getattr(record, absent) is None:
+            raise InvalidRequest(f"record.{absent}", f"is required where `{present}` is given; or leave out both")
     rig = rig_of(record)
     if hypot(*rig.camera[:2]) < LEAST_ASIDE:
         raise InvalidRequest("record.camera.position", "it is straight above or below the origin, which it looks at")
@@ -232,14 +232,14 @@ def scene_of(record: SceneRecord) -> Scene:
     except ValidationError as error:
         raise InvalidRequest(f"record.{_FIELDS[error.title]}", error.errors()[0]["msg"]) from error
     _check_directions(record, rig)
-    found = relationships([one.coords_3d for one in record.objects], dict(record.directions.items()))
+    due = relationships([thing.coords_3d for thing in record.objects], dict(record.directions.items()))
     for name in RELATIONS:
-        for k, (stated, true) in enumerate(zip(record.relationships[name], found[name], strict=True)):
+        for k, (stated, true) in enumerate(zip(record.relationships[name], due[name], strict=True)):
             if sorted(stated) != true:
-                said = f"{sorted(stated)}" if len(stated) <= MAX_OBJECTS else f"{len(stated)} objects"
+                stated_words = f"{sorted(stated)}" if len(stated) <= MAX_OBJECTS else f"{len(stated)} objects"
                 raise InvalidRequest(
                     f"record.relationships.{name}.{k}",
-                    f"it has {said}; by their places the objects {name} of object {k} are {true}",
+                    f"it has {stated_words}; by their places the objects {name} of object {k} are {true}",
                 )
     return scene
 
@@ -251,5 +251,5 @@ def _check_directions(record: SceneRecord, rig: Rig) -> None:
         stated = record.directions[name]
         if any(abs(a - b) > DIRECTION for a, b in zip(stated, due[name], strict=True)):
             by = "the camera's place" if record.camera is not None else "the direction of `behind`"
-            said, true = ([round(x, 4) for x in one] for one in (stated, due[name]))
-            raise InvalidRequest(f"record.directions.{name}", f"it is {said}; by {by} it is {true}")
+            stated_vector, true_vector = ([round(x, 4) for x in vector] for vector in (stated, due[name]))
+            raise InvalidRequest(f"record.directions.{name}", f"it is {stated_vector}; by {by} it is {true_vector}")

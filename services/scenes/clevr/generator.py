@@ -115,19 +115,19 @@ def object_numbers(placed: Sequence[Placed], rig: Rig) -> NDArray[np.int64]:
     numbers = np.full(IMAGE_SIZE, -1, np.int64)
     nearest = np.full(IMAGE_SIZE, np.inf)
     viewpoint = Viewpoint(rig)
-    for k, one in enumerate(placed):
-        box = _box(one, viewpoint)
-        depth = _depth(one, rig, _rays(box, viewpoint))
+    for k, thing in enumerate(placed):
+        box = _box(thing, viewpoint)
+        depth = _depth(thing, rig, _rays(box, viewpoint))
         closer = depth < nearest[box]
         nearest[box] = np.where(closer, depth, nearest[box])
         numbers[box] = np.where(closer, k, numbers[box])
     return numbers
 
 
-def _box(one: Placed, viewpoint: Viewpoint) -> tuple[slice, slice]:
+def _box(thing: Placed, viewpoint: Viewpoint) -> tuple[slice, slice]:
     """Returns rows and columns outside of which nothing of an object is seen."""
-    radius = bounding_radius(one.shape, one.size)
-    right, up, depth = viewpoint.in_camera(one.centre)
+    radius = bounding_radius(thing.shape, thing.size)
+    right, up, depth = viewpoint.in_camera(thing.centre)
 
     def limits(offset: float, pixels: int, focal: float) -> slice:
         # Tangents of the two planes through the eye that touch the bounding sphere.
@@ -152,23 +152,23 @@ def _rays(box: tuple[slice, slice], viewpoint: Viewpoint) -> Doubles:
     return rays
 
 
-def _depth(one: Placed, rig: Rig, rays: Doubles) -> Doubles:
+def _depth(thing: Placed, rig: Rig, rays: Doubles) -> Doubles:
     """Returns the distance along the view at which each ray enters an object; infinity where it misses it."""
-    angle = radians(one.rotation)
-    eye = np.subtract(rig.camera, one.centre)
+    angle = radians(thing.rotation)
+    eye = np.subtract(rig.camera, thing.centre)
     x, y = rays[0] * cos(angle) + rays[1] * sin(angle), rays[1] * cos(angle) - rays[0] * sin(angle)
     start = np.array([eye[0] * cos(angle) + eye[1] * sin(angle), eye[1] * cos(angle) - eye[0] * sin(angle), eye[2]])
-    if one.shape == "sphere":
-        return _between(*_quadric(start, (x, y, rays[2]), RADIUS[one.size]))
-    top = _slab(start[2], rays[2], half_height(one.shape, one.size))
-    if one.shape == "cylinder":
-        return _between(*_overlap(_quadric(start[:2], (x, y), RADIUS[one.size]), top))
-    half = half_height(one.shape, one.size)
+    if thing.shape == "sphere":
+        return _between(*_quadric(start, (x, y, rays[2]), RADIUS[thing.size]))
+    top = _slab(start[2], rays[2], half_height(thing.shape, thing.size))
+    if thing.shape == "cylinder":
+        return _between(*_overlap(_quadric(start[:2], (x, y), RADIUS[thing.size]), top))
+    half = half_height(thing.shape, thing.size)
     return _between(*_overlap(_overlap(_slab(start[0], x, half), _slab(start[1], y, half)), top))
 
 
 Interval = tuple[Doubles, Doubles]
-"""Where each ray enters and leaves; it misses where the first is above the second."""
+"""Distances at which each ray enters and leaves; the ray misses where the first is above the second."""
 
 
 def _quadric(start: Doubles, rays: Sequence[Doubles], radius: float) -> Interval:
@@ -182,8 +182,8 @@ def _quadric(start: Doubles, rays: Sequence[Doubles], radius: float) -> Interval
 
 def _slab(start: float, ray: Doubles, half: float) -> Interval:
     with np.errstate(divide="ignore"):
-        one, other = (-half - start) / ray, (half - start) / ray
-    return np.minimum(one, other), np.maximum(one, other)
+        lower, upper = (-half - start) / ray, (half - start) / ray
+    return np.minimum(lower, upper), np.maximum(lower, upper)
 
 
 def _overlap(first: Interval, second: Interval) -> Interval:
@@ -236,18 +236,18 @@ def record_of(placed: Sequence[Placed], rig: Rig, split: str = "new", index: int
             "objects": [
                 ObjectRecord.model_validate(
                     {
-                        "shape": one.shape,
-                        "size": one.size,
-                        "material": one.material,
-                        "color": one.color,
-                        "coords_3d": one.centre,
-                        "rotation": one.rotation,
-                        "pixel_coords": viewpoint.pixel(one.centre),
+                        "shape": thing.shape,
+                        "size": thing.size,
+                        "material": thing.material,
+                        "color": thing.color,
+                        "coords_3d": thing.centre,
+                        "rotation": thing.rotation,
+                        "pixel_coords": viewpoint.pixel(thing.centre),
                     }
                 )
-                for one in placed
+                for thing in placed
             ],
-            "relationships": relationships([one.centre for one in placed], along),
+            "relationships": relationships([thing.centre for thing in placed], along),
             "directions": along,
             "camera": CameraRecord(position=rig.camera),
             "lights": LightsRecord(key=rig.key, fill=rig.fill, back=rig.back),
@@ -270,50 +270,50 @@ def check(placed: Sequence[Placed], rig: Rig) -> None:
     Raises InvalidRequest, which names the first object that does not ("objects.2").
     """
     viewpoint = Viewpoint(rig)
-    for k, one in enumerate(placed):
-        height = one.centre[2] - half_height(one.shape, one.size)
+    for k, thing in enumerate(placed):
+        height = thing.centre[2] - half_height(thing.shape, thing.size)
         if abs(height) > CONTACT:
             how = "floats above" if height > 0 else "sinks into"
             raise InvalidRequest(f"objects.{k}", f"it {how} the plane by {abs(height):.3g}")
-        if not viewpoint.frames(one.centre, bounding_radius(one.shape, one.size)):
+        if not viewpoint.frames(thing.centre, bounding_radius(thing.shape, thing.size)):
             raise InvalidRequest(f"objects.{k}", "it is not inside the frame as a whole")
         for j, other in enumerate(placed[:k]):
-            if overlap(one, other):
+            if overlap(thing, other):
                 raise InvalidRequest(f"objects.{k}", f"it overlaps object {j}")
 
 
-def overlap(one: Placed, other: Placed) -> bool:
+def overlap(first: Placed, second: Placed) -> bool:
     """Returns whether two objects have more than their surfaces in common."""
-    if one.shape == "sphere" or (one.shape == "cylinder" and other.shape == "cube"):
-        one, other = other, one
-    # Now `other` is the rounder one: it is a sphere if any is, and a cylinder beside a cube.
-    x, y = _turned(one, other.centre[0] - one.centre[0], other.centre[1] - one.centre[1])
-    z = other.centre[2] - one.centre[2]
-    reach = RADIUS[other.size]
-    if one.shape == "sphere":
-        return hypot(x, y, z) < RADIUS[one.size] + reach
-    half = half_height(one.shape, one.size)
-    if one.shape == "cylinder":
-        aside = max(0.0, hypot(x, y) - RADIUS[one.size])
+    if first.shape == "sphere" or (first.shape == "cylinder" and second.shape == "cube"):
+        first, second = second, first
+    # Now `second` is the rounder one: it is a sphere if any is, and a cylinder beside a cube.
+    x, y = _turned(first, second.centre[0] - first.centre[0], second.centre[1] - first.centre[1])
+    z = second.centre[2] - first.centre[2]
+    reach = RADIUS[second.size]
+    if first.shape == "sphere":
+        return hypot(x, y, z) < RADIUS[first.size] + reach
+    half = half_height(first.shape, first.size)
+    if first.shape == "cylinder":
+        aside = max(0.0, hypot(x, y) - RADIUS[first.size])
     else:
         aside = hypot(max(0.0, abs(x) - half), max(0.0, abs(y) - half))
-    if other.shape == "sphere":
+    if second.shape == "sphere":
         return hypot(aside, max(0.0, abs(z) - half)) < reach
-    if abs(z) >= half + half_height(other.shape, other.size):
+    if abs(z) >= half + half_height(second.shape, second.size):
         return False
-    return aside < reach if other.shape == "cylinder" else not (_separated(one, other) or _separated(other, one))
+    return aside < reach if second.shape == "cylinder" else not (_separated(first, second) or _separated(second, first))
 
 
-def _turned(one: Placed, x: float, y: float) -> tuple[float, float]:
+def _turned(thing: Placed, x: float, y: float) -> tuple[float, float]:
     """Returns a vector in the plane along an object's own axes."""
-    angle = radians(one.rotation)
+    angle = radians(thing.rotation)
     return x * cos(angle) + y * sin(angle), y * cos(angle) - x * sin(angle)
 
 
-def _separated(one: Placed, other: Placed) -> bool:
+def _separated(first: Placed, second: Placed) -> bool:
     """Returns whether a side of the first cube's base separates it from the second's."""
-    x, y = _turned(one, other.centre[0] - one.centre[0], other.centre[1] - one.centre[1])
-    angle = radians(other.rotation - one.rotation)
-    half = half_height(one.shape, one.size)
-    reach = half_height(other.shape, other.size) * (abs(cos(angle)) + abs(sin(angle)))
+    x, y = _turned(first, second.centre[0] - first.centre[0], second.centre[1] - first.centre[1])
+    angle = radians(second.rotation - first.rotation)
+    half = half_height(first.shape, first.size)
+    reach = half_height(second.shape, second.size) * (abs(cos(angle)) + abs(sin(angle)))
     return max(abs(x), abs(y)) >= half + reach

@@ -187,14 +187,14 @@ def relationships(
     `relationships(…)["left"][i]` are the objects left of object i. `positions` are the objects' centres [n][3], `along`
     has the unit vector of each relation.
     """
-    found: dict[str, list[list[int]]] = {}
+    related: dict[str, list[list[int]]] = {}
     for name in RELATIONS:
         offsets = [sum(a * b for a, b in zip(position, along[name], strict=True)) for position in positions]
-        found[name] = [
+        related[name] = [
             [j for j, there in enumerate(offsets) if j != i and there - here > MIN_OFFSET]
             for i, here in enumerate(offsets)
         ]
-    return found
+    return related
 
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -241,8 +241,8 @@ class ObjectRecord(Record):
     def value(self, attribute: str) -> str:
         """Returns the value of one of ATTRIBUTES."""
         assert attribute in ATTRIBUTES
-        found: str = getattr(self, attribute)
-        return found
+        value: str = getattr(self, attribute)
+        return value
 
 
 class CameraRecord(Record):
