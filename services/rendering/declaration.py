@@ -1,4 +1,4 @@
-"""Declares renderers without loading them: their parameter groups, and how attacks treat them.
+"""Declares renderers without loading them: their parameter groups, and the defaults of attacks on these.
 
 These declarations are used to validate requests, to word pages and to measure perceptibility. Reading them needs
 neither torch nor OpenGL: a declaration names its class as "module:class", which is imported for the first image.
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 MAX_STEP = 1000
 """Largest suggested step; requests accept no larger learning rate."""
 IMAGE_OF = "image of "
-"""Beginning of a backend string of pixels that another renderer drew, before that renderer's own."""
+"""Prefix of the backend string of an image that another renderer drew; that renderer's own string follows."""
 LOCATION = re.compile(r"[\w.]+:\w+")
 
 Labels = Callable[[tuple[int, ...]], list[str]]

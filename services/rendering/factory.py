@@ -34,21 +34,23 @@ def build(
     if declaration.base_renderer is not None:
         base = build(scene, base_renderer or declaration.base_renderer, tolerance="exact")
     with named(f"renderer {renderer!r}"):
-        made: Renderer = _class(declaration).build(
+        built: Renderer = _class(declaration).build(
             BuildRequest(scene, tuple(groups or declaration.default_groups), tolerance, base)
         )
-        if broken := _broken(declaration, made):
+        if broken := _broken(declaration, built):
             raise JobFailure("internal", f"renderer {renderer!r} {broken}")
-    return made
+    return built
 
 
-def _broken(declaration: Declaration, made: Renderer) -> str | None:
-    """What a renderer owes an attack and does not have, as the rest of a sentence; None if it has everything."""
+def _broken(declaration: Declaration, renderer: Renderer) -> str | None:
+    """Returns the requirements of an attack that a renderer does not meet, as the rest of a sentence; None if it meets
+    all.
+    """
     # Asked of the class first: a plan that it makes when it is asked for takes longer than an image.
     owed = ("size", "plan", "backend")
-    if missing := [name for name in owed if not hasattr(type(made), name) and not hasattr(made, name)]:
+    if missing := [name for name in owed if not hasattr(type(renderer), name) and not hasattr(renderer, name)]:
         return f"has no {' and no '.join(missing)}"
-    initial, bounds = made.initial(), made.bounds()
+    initial, bounds = renderer.initial(), renderer.bounds()
     shapes = {group: value.dim() for group, value in initial.items()}
     declared = {group.name: len(group.shape) for group in declaration.groups}
     if shapes != declared:
@@ -68,5 +70,5 @@ def _broken(declaration: Declaration, made: Renderer) -> str | None:
 
 
 def _class(declaration: Declaration) -> Any:
-    found = declaration.renderer
-    return resolve_name(found) if isinstance(found, str) else found
+    renderer = declaration.renderer
+    return resolve_name(renderer) if isinstance(renderer, str) else renderer

@@ -1,4 +1,4 @@
-"""A perturbation in words of the scene: how many degrees, centimetres or percent something was changed by."""
+"""A perturbation in words of the scene: changes in degrees, centimetres and percent."""
 
 from collections.abc import Sequence
 

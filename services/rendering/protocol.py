@@ -13,7 +13,7 @@ Parameters = dict[str, Tensor]
 dimension; values to render have a leading batch dimension ([B, …])."""
 
 BOUND_SLACK = 1e-5
-"""How far rounding may take a parameter out of its bounds, relative to 1 + its initial value."""
+"""Largest distance by which rounding may take a parameter out of its bounds, relative to 1 + |initial value|."""
 
 
 @dataclass(frozen=True)

@@ -40,26 +40,26 @@ STILL = Variation()
 
 
 def varied(renderer: Renderer, parameters: Mapping[str, Tensor], variation: Variation) -> Parameters:
-    """The values to render, [B, …] by group, under a variation. Groups that it moves are added, and kept within the
-    renderer's bounds.
+    """Returns the values to render, [B, …] by group, under a variation. Groups that it moves are added, and clamped to
+    the renderer's bounds.
     """
-    found, bounds = moved(renderer, parameters, variation), renderer.bounds()
+    values, bounds = moved(renderer, parameters, variation), renderer.bounds()
     groups = RENDERERS[renderer.name].varies.values()
     return {
         group: value.clamp(*(bound.to(value.dtype) for bound in bounds[group])) if group in groups else value
-        for group, value in found.items()
+        for group, value in values.items()
     }
 
 
 def moved(renderer: Renderer, parameters: Mapping[str, Tensor], variation: Variation) -> Parameters:
-    """As `varied`, within no bounds."""
+    """Returns the same as `varied`, not clamped to the bounds."""
     declared = RENDERERS[renderer.name]
     if declared.varied is None or replace(variation, noise=0.0, seed=0) == STILL:
         return dict(parameters)
     count, initial = len(next(iter(parameters.values()))), renderer.initial()
     added = {group: initial[group].expand(count, *initial[group].shape) for group in declared.varies.values()}
-    found: Parameters = resolve_name(declared.varied)(renderer, added | dict(parameters), variation)
-    return found
+    values: Parameters = resolve_name(declared.varied)(renderer, added | dict(parameters), variation)
+    return values
 
 
 def noisy(images: Tensor, variation: Variation) -> Tensor:

@@ -123,16 +123,16 @@ def library_path() -> tuple[Path, Manifest]:
     Raises KernelsMissingError if there is no compiler or the folder cannot be written, CalledProcessError if the
     compiler fails.
     """
-    wanted = _wanted()
-    found = _manifest(wanted.with_suffix(".json"))
-    if found is not None and found.refusal() is None and _sha256(wanted) == found.library_sha256:
-        return wanted, found
+    path = _wanted()
+    manifest = _manifest(path.with_suffix(".json"))
+    if manifest is not None and manifest.refusal() is None and _sha256(path) == manifest.library_sha256:
+        return path, manifest
     if _compiler() is None:
         raise KernelsMissingError(f"{_why_none()}; install g++ and run scripts/setup, or set SCENE_ATTACK_KERNEL=torch")
     try:
-        return wanted, _compile(wanted)
+        return path, _compile(path)
     except OSError as error:
-        folder = f"{wanted.parent} (SCENE_ATTACK_KERNEL_DIR)"
+        folder = f"{path.parent} (SCENE_ATTACK_KERNEL_DIR)"
         raise KernelsMissingError(f"they cannot be written to {folder}: {error.strerror or error}") from error
 
 
@@ -235,9 +235,9 @@ def _output(*command: str) -> str:
 if __name__ == "__main__":
     use(Settings())
     try:
-        made, _ = library_path()
+        path, _ = library_path()
     except subprocess.CalledProcessError as error:
         sys.exit(f"the kernels do not compile:\n{error.stderr}")
     except OSError as error:
         sys.exit(str(error))
-    print(made)
+    print(path)

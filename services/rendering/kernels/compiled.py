@@ -89,8 +89,8 @@ def _structure(
 ) -> Structure:
     """Makes the structure of `size` bytes from its fields in order: their offset, size and type name."""
     words = {field: word for field, (_, _, word) in fields.items()}
-    made = [(field, _kind(word, others)) for field, word in words.items()]
-    kind: type[ctypes.Structure] = type(name, (ctypes.Structure,), {"_fields_": made})
+    members = [(field, _kind(word, others)) for field, word in words.items()]
+    kind: type[ctypes.Structure] = type(name, (ctypes.Structure,), {"_fields_": members})
     for field, (offset, width, _) in fields.items():
         here = getattr(kind, field)
         if (here.offset, here.size) != (offset, width):
@@ -122,14 +122,14 @@ def make_structure(exports: Exports, name: str, **values: object) -> ctypes.Stru
     """
     layout = exports.structures[name]
     if different := sorted(set(values) ^ set(layout.words)):
-        said = "is missing" if different[0] in layout.words else "is not one of " + ", ".join(layout.words)
-        raise TypeError(f"structure {name}: {different[0]} {said}")
+        reason = "is missing" if different[0] in layout.words else "is not one of " + ", ".join(layout.words)
+        raise TypeError(f"structure {name}: {different[0]} {reason}")
     held: list[object] = []
-    made: Any = layout.kind(
+    instance: Any = layout.kind(
         *(argument(exports, values[field], word, f"{name}.{field}", held) for field, word in layout.words.items())
     )
-    made.held = held
-    return made  # type: ignore[no-any-return]
+    instance.held = held
+    return instance  # type: ignore[no-any-return]
 
 
 def argument(exports: Exports, value: Any, word: str, where: str, held: list[object]) -> Any:
@@ -152,7 +152,7 @@ def argument(exports: Exports, value: Any, word: str, where: str, held: list[obj
     if word.endswith("*") and isinstance(value, Sequence):
         inner = word.removesuffix("*")
         kind: Any = ctypes.c_void_p if inner.endswith("*") else exports.structures[inner].kind
-        array = (kind * len(value))(*(argument(exports, one, inner, where, held) for one in value))
+        array = (kind * len(value))(*(argument(exports, item, inner, where, held) for item in value))
         held.append(array)
         return ctypes.addressof(array)
     return value
@@ -188,17 +188,17 @@ def library() -> Library | None:
     Raises JobFailure("internal") if SCENE_ATTACK_KERNEL=native and there are no kernels, LayoutError if Python's
     structures differ from the library's.
     """
-    wanted = options().kernel
-    if wanted == "torch":
+    kernel = options().kernel
+    if kernel == "torch":
         return None
     try:
         path, manifest = build.library_path()
         loaded = ctypes.CDLL(str(path))
     except (OSError, subprocess.CalledProcessError) as error:
-        said = error.stderr if isinstance(error, subprocess.CalledProcessError) else str(error)
-        if wanted == "native":
-            raise JobFailure("internal", f"there are no kernels: {said}") from error
-        structlog.get_logger().warning("no kernels: torch does their work, some ten times slower", error=said)
+        reason = error.stderr if isinstance(error, subprocess.CalledProcessError) else str(error)
+        if kernel == "native":
+            raise JobFailure("internal", f"there are no kernels: {reason}") from error
+        structlog.get_logger().warning("no kernels: torch does their work, some ten times slower", error=reason)
         return None
     return _described(loaded, manifest.identity)
 
@@ -247,8 +247,8 @@ def call(name: str, dtype: torch.dtype, *values: object) -> None:
     if len(words) != len(values):
         raise TypeError(f"{full} takes {len(words)} arguments, not {len(values)}")
     held: list[object] = []
-    given = zip(values, words, strict=True)
-    loaded.functions[full](*(argument(loaded.exports, value, word, full, held) for value, word in given))
+    pairs = zip(values, words, strict=True)
+    loaded.functions[full](*(argument(loaded.exports, value, word, full, held) for value, word in pairs))
 
 
 def _loaded() -> Library:

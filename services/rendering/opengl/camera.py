@@ -1,6 +1,4 @@
-"""A drawing's pieces before a camera, and in what light: what a pass over the geometry is drawn from, and where in the
-image objects can be.
-"""
+"""The camera, poses and lights of a pass over the geometry, and the part of the image that objects can cover."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -35,7 +33,8 @@ def beyond(points: Array, clip_from_object: Array, margin: float) -> bool:
 
 
 def rectangle(points: Sequence[Array], clip_from_object: Sequence[Array], size: tuple[int, int]) -> Rectangle:
-    """The part of an image of `size` (height, width) that objects of corners [4,V] can cover; empty if they cannot.
+    """Returns the part of an image of `size` (height, width) that objects of corners [4, V] can cover; empty if they
+    cannot.
 
     A triangle's image lies within that of its corners as long as these are before the camera; if one is not, it is
     the whole image. A pixel is added around for the rounding of OpenGL's arithmetic.
@@ -66,7 +65,9 @@ class CameraMatrices:
 
     @classmethod
     def of(cls, world_from_camera: Array, projection: Array) -> "CameraMatrices":
-        """From a camera-to-world matrix with OpenGL axes (it looks along its -z) and a projection matrix."""
+        """Makes the matrices from a camera-to-world matrix with OpenGL axes (it looks along its -z) and a projection
+        matrix.
+        """
         camera = np.asarray(world_from_camera, np.float64)
         return cls(np.asarray(projection, np.float64) @ np.linalg.inv(camera), camera[:3, 3], -camera[:3, 2])
 
@@ -85,7 +86,7 @@ class CameraMatrices:
 
 
 LightCounts = tuple[int, int, int]
-"""How many point, directional and spot lights there are."""
+"""Numbers of point, directional and spot lights."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +97,7 @@ class RenderPass:
 
     points [images, lights, 4]: intensity, then x, y, z. directionals [images, lights, 4]: irradiance, then the unit
     vector towards the light. spots [images, lights, 9]: intensity, position, unit vector along the axis, and the
-    scale and offset of the fall-off (`radiance.frag`). shadows: how they are drawn; None: they are not.
+    scale and offset of the fall-off (`radiance.frag`). shadows: settings of the shadow maps; None where none are drawn.
     """
 
     view: CameraMatrices
@@ -139,8 +140,9 @@ def n_watertight_faces(drawing: "Drawing", view: CameraMatrices, poses: Array) -
 
 
 def ordered(drawing: "Drawing", view: CameraMatrices, poses: Array) -> list[int]:
-    """Which pieces: opaque ones in the scene's order, then the others from far to near by the middle of their bounding
-    box."""
+    """Returns the indices of the pieces in drawing order: opaque ones in the scene's order, then the others from far to
+    near by the middle of their bounding box.
+    """
 
     def nearness(number: int) -> float:
         piece = drawing.pieces[number]

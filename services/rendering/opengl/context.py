@@ -1,4 +1,4 @@
-"""The process's one OpenGL context: which platform draws, and proof that it works.
+"""The process's one OpenGL context: the choice of its platform, and the test that it works.
 
 OpenGL binds to a platform at import, so nothing may import OpenGL or pyrender before `current()` has chosen one; the
 modules that do (`render_pass`) are imported from here. There is one context per process, because under EGL deleting one
@@ -26,13 +26,13 @@ if TYPE_CHECKING:
     from services.rendering.opengl.render_pass import FloatRenderer
 
 PROBE_SECONDS = 300.0
-"""Time after which a driver hangs. On a busy machine a process may take minutes, and must not draw otherwise than on an
-idle one: the images of another platform differ.
+"""Time limit of the probe, seconds; a driver that takes longer counts as hanging. On a busy machine a process may take
+minutes, and must not choose another platform than on an idle one: their images differ.
 """
 PREFIXES = ("EGL", "__EGL", "__GL", "LIBGL", "MESA", "GALLIUM", "LP_", "LD_", "CUDA_VISIBLE", "DISPLAY", "WAYLAND")
 """Prefixes of the environment variables that drivers read."""
 FOLDERS = ("/dev/dri", "/usr/share/glvnd/egl_vendor.d", "/etc/glvnd/egl_vendor.d")
-"""Where a driver or a device that comes or goes shows."""
+"""Folders whose content or times change when a driver or a device is added or removed."""
 
 _PROBE = """
 import json
@@ -42,9 +42,10 @@ print(json.dumps({"device": context.try_egl_devices(), "files": context.loaded()
 
 
 def working_device() -> tuple[str | None, str]:
-    """The EGL device that draws, or None and why there is none.
+    """Returns the EGL device that draws and an empty text, or None and the reason why there is none.
 
-    The memory of it is taken away until `confirm`: were it wrong, and this process died of it, the next would probe.
+    A remembered device is forgotten until `confirm`: if it were wrong and this process died of it, the next would probe
+    again.
     """
     remembered = _take()
     if remembered is not None:
@@ -62,22 +63,22 @@ def working_device() -> tuple[str | None, str]:
     except (OSError, subprocess.TimeoutExpired) as error:
         return None, str(error)
     if done.returncode == 0:
-        found = json.loads(done.stdout.splitlines()[-1])
-        _taken.update(found, surroundings=_surroundings())
-        return found["device"], ""
+        report = json.loads(done.stdout.splitlines()[-1])
+        _taken.update(report, surroundings=_surroundings())
+        return report["device"], ""
     lines = done.stderr.strip().splitlines()
     return None, lines[-1] if lines else f"the probe ended with status {done.returncode}"
 
 
 def confirm() -> None:
-    """Remember the device that `working_device` gave: it draws in this process too."""
+    """Stores the device that `working_device` returned, once it has drawn in this process too."""
     if not _taken:
         return
     disk.write(_path(), json.dumps(_taken).encode())
 
 
 def loaded() -> dict[str, list[int]]:
-    """The shared libraries in this process, with size and time of change: those of the driver among them."""
+    """Returns the shared libraries in this process, those of the driver among them, with size and time of change."""
     lines = Path("/proc/self/maps").read_text("utf-8").splitlines()
     paths = {line.split(maxsplit=5)[5] for line in lines if ".so" in line and "/" in line}
     return {path: stamp for path in sorted(paths) if (stamp := _stamp(path)) is not None}
@@ -128,7 +129,7 @@ PACKAGES = "install the Debian packages `libegl1 libgl1 libgl1-mesa-dri` (EGL) o
 
 @dataclass(frozen=True)
 class Context:
-    """A current OpenGL context and what draws in it."""
+    """A current OpenGL context, its renderer, and the process and thread that it belongs to."""
 
     renderer: "FloatRenderer"
     backend: str
@@ -137,7 +138,7 @@ class Context:
 
     @property
     def software(self) -> bool:
-        """Whether the processor draws."""
+        """Whether OpenGL runs in software, on the CPU."""
         return "llvmpipe" in self.backend or "softpipe" in self.backend
 
 
@@ -174,25 +175,27 @@ def choose_platform() -> str:
     A PYOPENGL_PLATFORM that is already set is kept. Otherwise the setting `gl` decides; "auto" takes EGL if a separate
     process can draw with it (a broken driver may abort the process that tries it), else OSMesa.
     """
-    wanted = options().gl
+    platform = options().gl
     chosen = os.environ.get("PYOPENGL_PLATFORM")
     if chosen is not None:
         if chosen not in PLATFORMS:
             raise JobFailure("internal", f"PYOPENGL_PLATFORM={chosen!r} cannot draw off screen; use egl or osmesa")
-        if wanted not in ("auto", chosen):
-            raise JobFailure("internal", f"SCENE_ATTACK_GL={wanted} contradicts PYOPENGL_PLATFORM={chosen}; unset one")
+        if platform not in ("auto", chosen):
+            raise JobFailure(
+                "internal", f"SCENE_ATTACK_GL={platform} contradicts PYOPENGL_PLATFORM={chosen}; unset one"
+            )
         return chosen
-    if wanted != "osmesa":
+    if platform != "osmesa":
         device, trouble = working_device()
         if device is not None:
             os.environ["EGL_DEVICE_ID"] = device
-            wanted = "egl"
-        elif wanted == "egl":
+            platform = "egl"
+        elif platform == "egl":
             raise JobFailure("internal", f"EGL does not work here ({trouble}); {PACKAGES}")
         else:
-            wanted = "osmesa"
-    os.environ["PYOPENGL_PLATFORM"] = wanted
-    return wanted
+            platform = "osmesa"
+    os.environ["PYOPENGL_PLATFORM"] = platform
+    return platform
 
 
 def try_egl_devices() -> str:
@@ -200,9 +203,9 @@ def try_egl_devices() -> str:
     _check_once_a_draw("egl")
     from pyrender.platforms import egl
 
-    given = os.environ.get("EGL_DEVICE_ID")
+    device_id = os.environ.get("EGL_DEVICE_ID")
     errors = []
-    for device in [given] if given is not None else [str(i) for i in range(len(egl.query_devices()))]:
+    for device in [device_id] if device_id is not None else [str(i) for i in range(len(egl.query_devices()))]:
         os.environ["EGL_DEVICE_ID"] = device
         try:
             _create("egl")

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from services.rendering.opengl.mesh_upload import Drawing
 
 SURFACES = 4
-"""Most surfaces of a pixel; what else there is counts with the one that has most samples."""
+"""Maximum number of surfaces of a pixel; samples of further ones count with the surface that has most samples."""
 ALIKE = cos(radians(30))
 """Samples of one object are of one surface if the cosine of their normals is at least this: not on both sides of a
 cube's edge."""
@@ -53,16 +53,16 @@ class Fragments:
     place: Tensor
 
     def to(self, device: torch.device) -> "Fragments":
-        """The same on a device."""
+        """Returns the same on a device."""
         return Fragments(**{name: value.to(device) for name, value in vars(self).items()})
 
     def some(self, entries: Tensor) -> "Fragments":
-        """The entries of these indices, int64, in their order."""
+        """Returns the entries at the indices, int64, in their order."""
         return Fragments(**{name: value[entries] for name, value in vars(self).items()})
 
     @classmethod
     def joined(cls, parts: "list[Fragments]") -> "Fragments":
-        """Those of several parts of an image, sorted by rank and then by pixel."""
+        """Returns the surfaces of several parts of an image, sorted by rank and then by pixel."""
         whole = cls(**{name: torch.cat([getattr(part, name) for part in parts]) for name in cls.__dataclass_fields__})
         order = torch.argsort(whole.rank * (int(whole.pixels.amax()) + 1) + whole.pixels)
         return whole.some(order)
@@ -142,7 +142,8 @@ FACTOR = 4
 """Samples per pixel in each direction: coverage in steps of 1/16."""
 
 TILE = 256
-"""Pixels a side drawn at once: 1024 x 1024 samples of 36 bytes, whatever the size of the image."""
+"""Side, in pixels, of the square that is drawn at once: 1024 x 1024 samples of 36 bytes, whatever the size of the
+image."""
 
 THRESHOLDS = (np.array([[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [15, 7, 13, 5]], np.float32).ravel() + 0.5) / 16
 """Ordered dither (Bayer 1973) over the samples of a pixel, for opacity."""
@@ -168,7 +169,7 @@ class GBuffer:
     fragments: Fragments | None = None
 
     def to(self, device: torch.device) -> "GBuffer":
-        """The same on a device; itself where it is there already."""
+        """Returns the same on a device; itself where it is there already."""
         return replace(
             self,
             normals=self.normals.to(device),
@@ -180,7 +181,7 @@ class GBuffer:
         )
 
     def surfaces(self) -> Fragments:
-        """What there is to shade: the surfaces of each covered pixel, or its mean surface where they are not apart."""
+        """The surfaces to shade: those of each covered pixel, or its mean surface where they are not apart."""
         return self.at((self.coverage.flatten() > 0).nonzero()[:, 0]) if self.fragments is None else self.fragments
 
     def at(self, pixels: Tensor) -> Fragments:
@@ -259,9 +260,9 @@ def rasterise(scene: ResolvedScene, drawing: "Drawing | None" = None) -> GBuffer
 def check_in_view(scene: ResolvedScene) -> None:
     """Raises InvalidRequest("scene.objects"), as `rasterise` does, when no surface covers any part of the image.
 
-    The scene's triangles are in the frame already. What need not show all the same is drawn to find out: glTF surfaces
-    that are seen from one side only or through a mask, surfaces with holes or of an opacity below 1, and what a floor
-    may hide.
+    The scene's triangles are in the frame already. Surfaces that need not show all the same are drawn to find out: glTF
+    surfaces that are seen from one side only or through a mask, surfaces with holes or of an opacity below 1, and
+    objects that a floor may hide.
     """
     parts = [part for mesh in scene.meshes for part in mesh.parts]
     if scene.description.floor is not None or not any(_shows(part) for part in parts):

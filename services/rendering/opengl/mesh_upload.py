@@ -24,7 +24,7 @@ SHADERS = Path(__file__).parent / "shaders"
 JOINED = {"METALLIC_ROUGHNESS": "metallic_roughness.frag", "SHADOWS": "shadows.frag"}
 """Files that are joined behind `surface.frag` where a constant is 1."""
 EXTENSIONS = ("shading_language_420pack", "texture_gather")
-"""What `shadows.frag` needs beyond OpenGL 3.3."""
+"""Extensions that `shadows.frag` needs beyond OpenGL 3.3."""
 
 
 class Program(ShaderProgram):  # type: ignore[misc]
@@ -136,7 +136,7 @@ _MODES = {"OPAQUE": 0, "MASK": 1, "BLEND": 2}
 _NAMES: tuple[MapName, ...] = ("base_color", "metallic_roughness", "normal", "occlusion", "emissive")
 
 Textures = dict[tuple[int, bool, tuple[int, int]], LinearTexture]
-"""Uploaded once each: by the array of texels, whether it is sRGB, and how it wraps."""
+"""Textures by the identity of the array of texels, whether it is sRGB, and how it wraps; each is uploaded once."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,7 +149,7 @@ class UploadedMaterial:
 
     @property
     def constants(self) -> dict[str, int]:
-        """See `metallic_roughness.frag`."""
+        """The constants that `metallic_roughness.frag` is compiled for."""
         maps = self.material.maps
         sets = {f"{name.upper()}_MAP": maps[name].uv_set + 1 if name in maps else 0 for name in _NAMES}
         kind = {"ALPHA_MODE": _MODES[self.material.alpha_mode], "GIVEN": int(self.material.given)}
@@ -182,7 +182,7 @@ def upload_material(
     part: Part, material: MetallicRoughness, faces: Integers, textures: Textures
 ) -> tuple[Primitive, UploadedMaterial]:
     """The primitive of a part with a glTF material, with all vertex attributes of `surface.vert`, and the material."""
-    held = {name: _texture(name, one, textures) for name, one in material.maps.items()}
+    held = {name: _texture(name, texture_map, textures) for name, texture_map in material.maps.items()}
     primitive = Primitive(
         positions=part.vertices,
         normals=part.normals,
@@ -203,12 +203,12 @@ def upload_material(
     return primitive, UploadedMaterial(material, float(part.color[3]), held)
 
 
-def _texture(name: MapName, one: TextureMap, textures: Textures) -> LinearTexture:
+def _texture(name: MapName, texture_map: TextureMap, textures: Textures) -> LinearTexture:
     srgb = name in _SRGB
-    key = id(one.texels), srgb, one.wrap
+    key = id(texture_map.texels), srgb, texture_map.wrap
     if key not in textures:
-        textures[key] = (SrgbTexture if srgb else LinearTexture)(source=one.texels, source_channels="RGBA")
-        textures[key].wrap = one.wrap
+        textures[key] = (SrgbTexture if srgb else LinearTexture)(source=texture_map.texels, source_channels="RGBA")
+        textures[key].wrap = texture_map.wrap
     return textures[key]
 
 
@@ -250,7 +250,7 @@ class Piece:
 
     @property
     def faces(self) -> int:
-        """How many triangles it has."""
+        """Number of triangles."""
         return len(self.part.faces)
 
 
@@ -273,7 +273,7 @@ class Drawing:
         corners: dict[int, Array] = {}
         self.pieces: list[Piece] = []
         self.points: list[Array] = []
-        """Per object its corners, homogeneous [4,V], each once."""
+        """Corners of each object, homogeneous [4, V], each once."""
         for index, mesh in enumerate(meshes):
             if id(mesh) not in uploads:
                 wound = outsides(mesh) if watertight else [(part.faces, 0) for part in mesh.parts]
@@ -313,8 +313,8 @@ def closed_drawing(meshes: tuple[Mesh, ...]) -> Drawing:
 
 def _corners(mesh: Mesh) -> Array:
     """Returns a mesh's vertices, each once, homogeneous [4, V]."""
-    found = np.unique(np.concatenate([part.vertices for part in mesh.parts]), axis=0).astype(np.float64)
-    return np.ascontiguousarray(np.append(found, np.ones((len(found), 1)), axis=1).T)
+    vertices = np.unique(np.concatenate([part.vertices for part in mesh.parts]), axis=0).astype(np.float64)
+    return np.ascontiguousarray(np.append(vertices, np.ones((len(vertices), 1)), axis=1).T)
 
 
 class _UploadedPart(NamedTuple):

@@ -67,7 +67,9 @@ class Framebuffer:
         GL.glClear(GL.GL_COLOR_BUFFER_BIT | GL.GL_DEPTH_BUFFER_BIT)
 
     def read(self, outputs: int, rectangle: Rectangle) -> NDArray[np.float32]:
-        """A rectangle of the first `outputs` images, [outputs, rows, columns, 4]; the first row is the bottom one."""
+        """Returns a rectangle of the first `outputs` images, [outputs, rows, columns, 4]; the first row is the bottom
+        one.
+        """
         top, bottom, left, right = rectangle
         low, high = self.size[0] - bottom, self.size[0] - top
         images = np.empty((outputs, high - low, right - left, 4), np.float32)
@@ -85,24 +87,24 @@ class Framebuffer:
         return images
 
     def positions(self) -> NDArray[np.float64]:
-        """Where in a pixel its samples are, [samples, 2], x and y from the lower left corner."""
+        """Returns the positions of the samples in a pixel, [samples, 2]: x and y from the lower left corner."""
         GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, self._draw)
-        found = [np.zeros(2, np.float32) for _ in range(self.samples)]
-        for i, position in enumerate(found):
+        positions = [np.zeros(2, np.float32) for _ in range(self.samples)]
+        for i, position in enumerate(positions):
             GL.glGetMultisamplefv(GL.GL_SAMPLE_POSITION, i, position)
-        return np.array(found, np.float64)
+        return np.array(positions, np.float64)
 
     def delete(self) -> None:
-        """Give the memory back."""
+        """Frees the memory of its images."""
         GL.glDeleteFramebuffers(len(self._frames), self._frames)
         GL.glDeleteRenderbuffers(len(self._buffers), self._buffers)
 
 
 Image = NDArray[np.float32]
 Backfaces = Literal["draw", "behind", "cull"]
-"""What is done with the backfaces of watertight surfaces. "draw": they are drawn like all faces, and the nearest is
-seen. "behind": they are drawn behind everything, so that they show only through a hole in the outside. "cull": they are
-not drawn."""
+"""Treatment of the backfaces of watertight surfaces. "draw": they are drawn like all faces, and the nearest is seen.
+"behind": they are drawn behind everything, so that they show only through a hole in the outside. "cull": they are not
+drawn."""
 
 
 class FloatRenderer(Renderer):  # type: ignore[misc]
@@ -197,8 +199,9 @@ class FloatRenderer(Renderer):  # type: ignore[misc]
         backfaces: Backfaces = "draw",
         shadows: PassShadows | None = None,
     ) -> Image:
-        """One pass over the geometry: what the fragment shader writes to each output, 0 where nothing is;
-        [outputs, height, width, 4], or a `rectangle` of it. The first row is the bottom one, as OpenGL has it.
+        """Draws one pass over the geometry. Returns the values that the fragment shader writes to each output, 0 where
+        nothing is, [outputs, height, width, 4], or a `rectangle` of them. The first row is the bottom one, as OpenGL
+        has it.
 
         poses [objects, 4, 4] world_from_object; colors [images, objects, 3] linear factors on the base colours;
         `uniforms` of the pass, and `object_uniforms` with one value per object. With `blend` the parts that are not
@@ -276,8 +279,8 @@ class FloatRenderer(Renderer):  # type: ignore[misc]
 
 
 def _draw_faces(start: int, stop: int, hidden: Any) -> None:
-    """Some of the faces of the bound piece, of which one side may be hidden. Without: both, for furniture is modelled
-    with sheets, and windings differ.
+    """Draws some faces of the bound piece without the side `hidden`. With None both sides are drawn, for furniture is
+    modelled with sheets, and windings differ.
     """
     if start == stop:
         return

@@ -21,9 +21,10 @@ Array = NDArray[np.float64]
 UNITS = (13, 14, 15)
 """Texture units of the depths, their least values and the views, behind those of materials."""
 BLOCK = 8
-"""Texels a side of the blocks whose least depth is known, so that a fragment far from any shadow takes one look."""
+"""Side, in texels, of a block. The least depth of each block is stored, so that a fragment far from any shadow takes a
+single look-up."""
 FEWEST_LAYERS = 16
-"""Layers of the smallest texture that is made."""
+"""Minimum number of layers of the texture."""
 
 
 class ShadowMaps:
@@ -40,7 +41,8 @@ class ShadowMaps:
         self._corners: tuple[list[Array], list[bool]] = ([], [])
         self._rows: list[Array] = []
         self._maps: dict[bytes, tuple[int, int, float]] = {}
-        """Of each light its first layer, the number of its layers, and its radius, an angle if its view is parallel."""
+        """For each light its first layer, the number of its layers, and its radius, an angle if its view is
+        parallel."""
 
     def uniforms(self, drawing: Drawing, poses: Array, shadows: PassShadows) -> dict[str, Any]:
         """Draws the maps that are missing and binds all; returns the uniforms of `shadows.frag`.
@@ -70,7 +72,7 @@ class ShadowMaps:
         }
 
     def _draw(self, shadows: PassShadows) -> None:
-        """Draws the maps of those lights that have none."""
+        """Draws the maps of the lights that have none."""
         assert self._drawing is not None
         corners = [own @ pose[:3, :3].T + pose[:3, 3] for own, pose in zip(self._corners[0], self._poses, strict=True)]
         views = {}

@@ -1,4 +1,4 @@
-"""Which lights of a pass need shadow maps, and from where each map looks at a scene's objects.
+"""Chooses the lights of a pass that need shadow maps, and the views from which the maps are drawn.
 
 A light needs one map if all that casts a shadow lies before it, else the six sides of a cube around it. The views
 depend on the light continuously, and on the objects' poses through a box that is rounded outwards: a small move of an
@@ -24,14 +24,14 @@ Array = NDArray[np.float64]
 SIDES = 6
 """Maps of a light among the objects; others need one."""
 MAX_IMAGE_BYTES = 2**30
-"""Bytes that the maps of one image's lights may take, were all of them among the objects."""
+"""Limit of the memory of one image's shadow maps, bytes, as if all its lights were among the objects."""
 MAX_PASS_BYTES = 2**29
-"""Bytes that the maps of a pass of several images may take likewise."""
+"""Limit of the memory of the shadow maps of a pass of several images, bytes, counted as for MAX_IMAGE_BYTES."""
 
 
 @dataclass(frozen=True)
 class PassShadows:
-    """The different lights of a pass's images, and how their shadows are drawn.
+    """The different lights of a pass's images, and the settings of their shadow maps.
 
     lights [L, 4]: position and 1, or the unit vector towards the light and 0. radii [L]: lengths, or angles in radians.
     of: for each point light of each image, then each directional and each spot light, its number among these.
@@ -46,7 +46,9 @@ class PassShadows:
 
     @property
     def keys(self) -> list[bytes]:
-        """What tells the lights apart."""
+        """A key for each light, made of its place or direction and its radius: lights with equal keys have the same
+        maps.
+        """
         return [row.tobytes() for row in np.column_stack([self.lights, self.radii])]
 
 
@@ -94,21 +96,21 @@ def pass_shadows(lit: "RenderPass", shadows: Shadows) -> PassShadows | None:
 
 
 GRID = 16
-"""The box of the casters is rounded outwards to multiples of its own largest side, rounded up to a power of 2, over
-this."""
+"""The box of the casters is rounded outwards to multiples of a step: its own largest side, rounded up to a power of 2,
+divided by GRID."""
 WIDEST = 3.0
 """Largest tangent of a map's half angle (72°); a light that needs more has the six sides of a cube."""
 CUBE = 1.1
 """Tangent of the half angle of a cube's sides: they overlap, so that soft shadows have no seams."""
 MARGIN = 1.05
-"""By how much a map is wider than the casters, for the samples of a soft shadow's edge."""
+"""Width of a map relative to the casters. Above 1, for the samples of a soft shadow's edge."""
 PARALLEL = 1e3
 """Distance of a light, in radii of the casters' box, beyond which its rays are taken for parallel: float32 would not
 tell its map's texels apart."""
 NEAREST = 0.01
-"""Least depth of a map, as a share of the largest: what is nearer to a light casts no shadow."""
+"""Least depth of a map, as a share of the largest: objects nearer to a light cast no shadow."""
 FLAT = 1e-4
-"""By what share of an object's size others may reach through the plane of its side and still be taken to stand on it.
+"""Share of an object's size by which others may reach through the plane of its side and still count as standing on it.
 """
 
 
@@ -125,7 +127,7 @@ class ShadowView:
     far: float
     parallel: bool
     distance: float = 1.0
-    """Of a point light so far away that its rays are parallel: the distance to it; else 1."""
+    """Distance to a point light that is so far away that its rays are taken for parallel; 1 for all other lights."""
 
     @property
     def camera(self) -> CameraMatrices:
@@ -143,8 +145,10 @@ class ShadowView:
         return CameraMatrices(project @ into, self.origin, self.axes[2])
 
     def spread(self, radius: float) -> float:
-        """How far from its own place on the map, as a share of the half width, a shadow's samples of a light of that
-        radius (an angle if parallel) may look: for a fragment that is far behind the nearest caster."""
+        """Returns the largest distance, as a share of the half width, between a fragment's own place on the map and the
+        samples of its shadow, for a light of that radius (an angle if parallel) and a fragment far behind the nearest
+        caster.
+        """
         return (radius * (self.far - self.near) if self.parallel else radius / self.near) / self.extent
 
     @property
@@ -188,7 +192,7 @@ def rounded_box(corners: Sequence[Array]) -> tuple[Array, Array]:
 
 def _is_behind(index: int, corners: Sequence[Array], light: Array) -> bool:
     own = corners[index]
-    others = [one for k, one in enumerate(corners) if k != index]
+    others = [box for k, box in enumerate(corners) if k != index]
     size = float(np.linalg.norm(own[7] - own[0]))
     for axis in range(3):
         a, b = np.array([4, 1, 2])[axis], np.array([2, 4, 1])[axis]
@@ -200,7 +204,7 @@ def _is_behind(index: int, corners: Sequence[Array], light: Array) -> bool:
             # The corner 7 is on the side that the third axis points to.
             outwards = sign * normal / length * np.sign(normal @ (own[7] - own[0]) or 1.0)
             before_light = outwards @ (light[:3] - light[3] * at)
-            if before_light > 0 and all(((one - at) @ outwards).min() >= -FLAT * size for one in others):
+            if before_light > 0 and all(((box - at) @ outwards).min() >= -FLAT * size for box in others):
                 return True
     return False
 

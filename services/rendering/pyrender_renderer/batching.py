@@ -1,4 +1,4 @@
-"""Which images of a batch share a pass over the geometry, and which share their channels."""
+"""Chooses the images of a batch that share a pass over the geometry, and those that share their channels."""
 
 from collections import Counter
 from collections.abc import Iterator, Mapping
@@ -15,8 +15,8 @@ GEOMETRY = ("camera", "translation", "rotation")
 
 @dataclass(frozen=True)
 class SharedPass:
-    """Images of the same poses and camera, to be drawn at once; and which of their channels make which image of the
-    batch.
+    """Images of the same poses and camera, to be drawn at once, and the assignment of their channels to the images of
+    the batch.
 
     camera [4]; translation, rotation [objects, 3]; illuminations [images, 1 + 4 points]; colors [images, objects, 3];
     users: (row of the batch, channel, image here).
@@ -31,7 +31,7 @@ class SharedPass:
 
 
 def shared(batch: Mapping[str, Array], most: int) -> Iterator[SharedPass]:
-    """Passes of at most `most` images that draw a batch {group: [B, ...]}.
+    """Yields passes of at most `most` images each that draw a batch {group: [B, ...]}.
 
     A colour factor touches one channel of light. So images of the same camera, poses and lights are drawn with the
     first red, the first green and the first blue that any of them has, then with the second of each, and so on: the six
@@ -73,17 +73,17 @@ def shared(batch: Mapping[str, Array], most: int) -> Iterator[SharedPass]:
 
 
 def alone(batch: Mapping[str, Array]) -> Iterator[SharedPass]:
-    """A pass for every image."""
+    """Yields a pass for every image."""
     for row in range(len(batch["color"])):
-        one = {group: values[row : row + 1] for group, values in batch.items()}
+        parameters = {group: values[row : row + 1] for group, values in batch.items()}
         users = [(row, channel, 0) for channel in range(3)]
-        camera, translation, rotation = one["camera"][0], one["translation"][0], one["rotation"][0]
-        yield SharedPass(camera, translation, rotation, one["illumination"], one["color"], users)
+        camera, translation, rotation = parameters["camera"][0], parameters["translation"][0], parameters["rotation"][0]
+        yield SharedPass(camera, translation, rotation, parameters["illumination"], parameters["color"], users)
 
 
 def fill(images: NDArray[np.float32], drawn: SharedPass, shown: NDArray[np.float32]) -> None:
-    """Writes what a pass has drawn, `shown` [images of the pass, rows, columns, C], to the images of the batch that use
-    it: `images` [B, rows, columns, C], of which the pass may fill some channels only.
+    """Writes the images that a pass has drawn, `shown` [images of the pass, rows, columns, C], to the images of the
+    batch that use them: `images` [B, rows, columns, C], of which the pass may fill some channels only.
     """
     channels = Counter((row, slot) for row, _, slot in drawn.users)
     for row, channel, slot in drawn.users:

@@ -1,5 +1,5 @@
-"""The numbers of a scene that the pyrender renderer is a function of: lights, colours, poses, and the camera's azimuth,
-elevation, distance and roll.
+"""The parameters of a scene that the pyrender renderer is a function of: lights, colours, poses, and the camera's
+azimuth, elevation, distance and roll.
 """
 
 from collections.abc import Mapping
@@ -61,7 +61,7 @@ ENERGY = 30.0
 IRRADIANCE = 3.0
 """Unit of a directional light's energy there."""
 FINER = 2
-"""By how much shadow maps are finer, a side, in the image that a plan compares the scene's own shadows with."""
+"""Factor on the side of shadow maps in the image that a plan compares the scene's own shadows with."""
 _PLACE, _DIRECTION = ("x", "y", "z"), ("direction x", "direction y", "direction z")
 _LIGHTS = (
     ("point", ("energy", *_PLACE), ENERGY),
@@ -81,20 +81,20 @@ class SceneParameters:
         scene = resolved.description
         self._scales = np.array([o.scale for o in scene.objects])
         fixed = resolved.placed[len(scene.objects) :]
-        self._fixed_poses = np.array([one.model for one in fixed]).reshape(-1, 4, 4)
-        self._fixed_colors = np.array([one.described.color for one in fixed]).reshape(-1, 3)
+        self._fixed_poses = np.array([placed.model for placed in fixed]).reshape(-1, 4, 4)
+        self._fixed_colors = np.array([placed.described.color for placed in fixed]).reshape(-1, 3)
         self._camera = MovingCamera(resolved)
         self.shadows = scene.shadows
-        given = scene.lights
-        self._counts: LightCounts = (len(given.points), len(given.directional), len(given.spots))
-        lights = [given.ambient]
-        for point in given.points:
+        sources = scene.lights
+        self._counts: LightCounts = (len(sources.points), len(sources.directional), len(sources.spots))
+        lights = [sources.ambient]
+        for point in sources.points:
             lights += [point.energy / ENERGY, *point.position]
-        for directional in given.directional:
+        for directional in sources.directional:
             lights += [directional.energy / IRRADIANCE, *_unit(np.array(directional.direction))]
-        for spot in given.spots:
+        for spot in sources.spots:
             lights += [spot.energy / ENERGY, *spot.position, *_unit(np.array(spot.direction))]
-        self._cones = np.array([_cone(spot.inner_angle, spot.outer_angle) for spot in given.spots]).reshape(-1, 2)
+        self._cones = np.array([_cone(spot.inner_angle, spot.outer_angle) for spot in sources.spots]).reshape(-1, 2)
         self._initial = {
             "illumination": torch.tensor(lights, dtype=torch.float64),
             "color": torch.tensor([o.color for o in scene.objects], dtype=torch.float64),
@@ -176,13 +176,15 @@ class SceneParameters:
         return RenderPass(view, poses, part, illuminations[:, 0], points, colors, directionals, spots, self.shadows)
 
     def unshadowed(self) -> "SceneParameters":
-        """The same for a scene without shadows."""
+        """Returns the same for a scene without shadows."""
         plain = copy(self)
         plain.shadows = None
         return plain
 
     def with_finer_shadows(self) -> "SceneParameters":
-        """The same with shadow maps of FINER² times as many texels and samples, as far as a scene may have them."""
+        """Returns the same with shadow maps of FINER² times as many texels and samples, as far as a scene may have
+        them.
+        """
         finer = copy(self)
         if self.shadows is not None:
             resolution = min(FINER * self.shadows.resolution, 4096)

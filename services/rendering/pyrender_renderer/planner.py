@@ -1,5 +1,5 @@
-"""The plan of the pyrender renderer: which stage each coordinate touches, what is not drawn, and the error of what
-stands in for OpenGL's images.
+"""The plan of the pyrender renderer: the stage that each coordinate touches, the work that is left out, and the error
+of the images that stand in for OpenGL's.
 
 The error of rasterised images and of their differences is measured for the plan, and again, for images, while an attack
 runs.
@@ -33,18 +33,18 @@ if TYPE_CHECKING:
     from services.rendering.protocol import Renderer
 
 DRAWS = 5
-"""Images at random places around the start, beside the start's own, that are drawn both ways for the plan."""
+"""Number of images at random places around the start that are drawn both ways for the plan, beside the start's own."""
 MEASURED_REACH = {"illumination": 0.3, "color": 0.3, "translation": 0.1, "rotation": 0.3, "camera": 0.3}
-"""How far from the start these are in each attacked coordinate, at most: as far as attacks move."""
+"""Largest distance of these places from the start in each attacked coordinate, by group: as far as attacks move."""
 MARGIN = 2.0
-"""By how much the largest error found is multiplied, to estimate that of any other image."""
+"""Safety factor on the largest measured error, for images that were not measured."""
 FEW = 4
-"""Pixels of which a sample may flip in an image though none did in those that were measured."""
+"""Number of pixels that may differ by an MSAA sample although no measured image did."""
 LINE = 0.5
-"""Pixels that may be off because a face has come to be seen from its edge, where two ways to interpolate differ most:
-a line of this length, in sides of a square of as many pixels as are covered. Few of them are off by much."""
+"""Length of the line of pixels that may be off because a face has come to be seen from its edge, where two ways to
+interpolate differ most: in sides of a square of as many pixels as are covered. Few of them are off by much."""
 EVERY = 128
-"""One image in so many of an attack is drawn by OpenGL too."""
+"""OpenGL draws one image in EVERY of an attack, too."""
 HALF_STEP = 0.01
 """Half-step of the central differences whose error is measured, in the groups' units."""
 MAX_COORDINATES = 12
@@ -68,9 +68,10 @@ def around(renderer: Renderer, groups: tuple[str, ...]) -> Parameters:
 def measure(
     renderer: Renderer, behind: Callable[[Parameters], Tensor], groups: tuple[str, ...]
 ) -> tuple[ImageError, int]:
-    """The largest error of the renderer's images around the start, and the fewest pixels that one of them covers.
+    """Returns the largest error of the renderer's images around the start, and the fewest pixels that one of them
+    covers.
 
-    `behind` returns what is behind the objects, [3] or [H, W, 3], at parameters {group: [1, ...]}.
+    `behind` returns the ground behind the objects, [3] or [H, W, 3], at parameters {group: [1, ...]}.
     """
     worst, fewest, places = ImageError(), torch.iinfo(torch.int64).max, around(renderer, groups)
     for row, (image, exact) in enumerate(zip(renderer.render(places), renderer.exact().render(places), strict=True)):
@@ -81,10 +82,12 @@ def measure(
 
 
 def refusal(error: ImageError, gradients: Sequence[GradientError], tolerance: float) -> str | None:
-    """Why errors of images and of gradients are beyond the tolerance, as a clause; None if they are within it."""
+    """Returns the reason why errors of images and of gradients are beyond the tolerance, as a clause; None if they are
+    within it.
+    """
     if not ImageError(MARGIN * error.mean, MARGIN * error.share).within(tolerance):
         return "twice its error is beyond the tolerance"
-    if any(one.relative > GRADIENT_SHARE * tolerance for one in gradients):
+    if any(gradient.relative > GRADIENT_SHARE * tolerance for gradient in gradients):
         return "the error of its gradients is beyond the tolerance"
     return None
 
@@ -103,7 +106,7 @@ def measure_gradients(renderer: Renderer, opengl: Renderer, groups: tuple[str, .
     θ / π, where θ is the angle between the two differences. Coordinates that change nothing do not count, and one that
     changes the image of only one of them counts as a wrong sign.
     """
-    found = []
+    errors = []
     for group in groups:
         sides = sides_of(renderer.initial(), group)
         ours, exact = (
@@ -119,8 +122,8 @@ def measure_gradients(renderer: Renderer, opengl: Renderer, groups: tuple[str, .
         ]
         relative = error / length if length else float(error > 0)
         wrong_signs = sum(angles) / (pi * len(angles)) if angles else 0.0
-        found.append(GradientError(part="", group=group, relative=relative, wrong_signs=wrong_signs))
-    return tuple(found)
+        errors.append(GradientError(part="", group=group, relative=relative, wrong_signs=wrong_signs))
+    return tuple(errors)
 
 
 def sides_of(start: Parameters, group: str) -> Parameters:
@@ -169,23 +172,24 @@ class Linear(Protocol):
 
 
 def inactive_coordinates(renderer: Linear, parameters: Values, reach: Mapping[str, float]) -> list[InactiveCoordinate]:
-    """The coordinates of which none alone changes the image at `parameters` {group: [...]}, moved by at most its
-    group's `reach` up or down; energies, colours and the ambient light by any amount.
+    """Returns the coordinates that do not change the image at `parameters` {group: [...]}, each moved alone by at most
+    its group's `reach` up or down; energies, colours and the ambient light by any amount.
     """
     at = {group: parameters.get(group, value).double() for group, value in renderer.initial().items()}
-    found = _lights(renderer, at, reach.get("illumination", LARGEST_STEP)) + _colors(renderer, at)
+    inactive = _lights(renderer, at, reach.get("illumination", LARGEST_STEP)) + _colors(renderer, at)
     for index in range(len(at["translation"])):
         if renderer.out_of_frame(at, index, reach.get("translation", LARGEST_STEP), turned=False):
             why = "the object is out of the frame, and would be were it moved by as much"
-            found += [_inactive(renderer, "translation", 3 * index + axis, why) for axis in range(3)]
+            inactive += [_inactive(renderer, "translation", 3 * index + axis, why) for axis in range(3)]
         if renderer.out_of_frame(at, index, 0.0, turned=True):
             why = "the object is out of the frame however it is turned"
-            found += [_inactive(renderer, "rotation", 3 * index + axis, why) for axis in range(3)]
-    return found
+            inactive += [_inactive(renderer, "rotation", 3 * index + axis, why) for axis in range(3)]
+    return inactive
 
 
 def _lights(renderer: Linear, at: Values, reach: float) -> list[InactiveCoordinate]:
-    """The ambient light, and each other light where it is and around it, with one unit of it alone.
+    """Returns the inactive coordinates of lights. The ambient light is rendered alone, and so is one unit of each other
+    light, at its place and around it.
 
     The directions from which a directional light reaches no pixel are a convex cone, so that the same six points prove
     them. Those of a spot light, and its positions, are no convex set: they are idle only where it has no energy.
@@ -193,26 +197,28 @@ def _lights(renderer: Linear, at: Values, reach: float) -> list[InactiveCoordina
     lights = at["illumination"]
     alone = torch.zeros_like(lights)
     alone[0] = 1.0
-    found = []
+    inactive = []
     if _dark(renderer, at, alone):
-        found.append(_inactive(renderer, "illumination", 0, "no object is in the image"))
+        inactive.append(_inactive(renderer, "illumination", 0, "no object is in the image"))
     for kind, energy, others in _coordinates(renderer.names("illumination") or [], len(lights)):
         alone = torch.zeros_like(lights)
         alone[energy] = 1.0
         alone[others] = lights[others]
         behind = _dark(renderer, at, alone)
         if behind:
-            found.append(_inactive(renderer, "illumination", energy, "the light is behind all that is seen"))
+            inactive.append(_inactive(renderer, "illumination", energy, "the light is behind all that is seen"))
         if lights[energy] == 0:
-            found += [_inactive(renderer, "illumination", place, "the light has no energy") for place in others]
+            inactive += [_inactive(renderer, "illumination", place, "the light has no energy") for place in others]
         elif behind and kind != "spot" and all(_dark(renderer, at, moved) for moved in _around(alone, others, reach)):
             why = f"the light is behind all that is seen, and would be from anywhere within {reach:g}"
-            found += [_inactive(renderer, "illumination", place, why) for place in others]
-    return found
+            inactive += [_inactive(renderer, "illumination", place, why) for place in others]
+    return inactive
 
 
 def _coordinates(names: list[str], count: int) -> Iterator[tuple[str, int, list[int]]]:
-    """For each light of the group `illumination` its kind, the index of its energy, and of its other coordinates."""
+    """Yields for each light of the group `illumination` its kind, the index of its energy, and those of its other
+    coordinates.
+    """
     energies = [index for index, name in enumerate(names) if name.endswith(" energy")]
     for energy, following in zip(energies, [*energies, count][1:], strict=True):
         yield names[energy].split()[0], energy, list(range(energy + 1, following))
@@ -231,8 +237,10 @@ def _dark(renderer: Linear, at: Values, lights: Tensor) -> bool:
 
 
 def _colors(renderer: Linear, at: Values) -> list[InactiveCoordinate]:
-    """Images with an object white, black and grey, where its colour has nothing to do if they are the same."""
-    found = []
+    """Returns the inactive channels of colour factors: those in which images with the object white, black and grey are
+    the same.
+    """
+    inactive = []
     for index in range(len(at["color"])):
 
         def shown(factor: float, index: int = index) -> Tensor:
@@ -245,8 +253,8 @@ def _colors(renderer: Linear, at: Values) -> list[InactiveCoordinate]:
         if same.any():
             same &= (shown(0.5) == black).flatten(0, 1).all(dim=0)
         why = "the object's colour is not seen: it is black, unlit, hidden or out of the frame"
-        found += [_inactive(renderer, "color", 3 * index + channel, why) for channel in range(3) if same[channel]]
-    return found
+        inactive += [_inactive(renderer, "color", 3 * index + channel, why) for channel in range(3) if same[channel]]
+    return inactive
 
 
 def _image(renderer: Linear, at: Values, group: str, value: Tensor) -> Tensor:
@@ -269,8 +277,9 @@ WHY = {
 
 @dataclass(frozen=True)
 class Rasterised:
-    """How well the rasteriser draws a scene: its largest error at `1 + DRAWS` places, the fewest pixels covered there,
-    the faces seen at the start, the errors of gradients there; or why OpenGL draws instead."""
+    """Accuracy of the rasteriser for a scene: its largest error at `1 + DRAWS` places, the fewest pixels covered there,
+    the faces seen at the start, and the errors of gradients there; or the reason why OpenGL draws instead.
+    """
 
     error: ImageError = field(default_factory=ImageError)
     covered: int = 1
@@ -292,9 +301,9 @@ def compile_plan(
 ) -> Plan:
     """The plan for attacks on `groups`, with objects within `extent` at the start.
 
-    `watertight`: backfaces of watertight surfaces are not drawn; `rasterised`: whether and how well the rasteriser
-    draws, None for "exact"; `most`: images to a pass; `idle`: coordinates that change nothing at the start, moved by at
-    most LARGEST_STEP.
+    `watertight`: backfaces of watertight surfaces are not drawn; `rasterised`: the rasteriser's accuracy, or the reason
+    why OpenGL draws, None for "exact"; `most`: images to a pass; `idle`: coordinates that change nothing at the start,
+    moved by at most LARGEST_STEP.
 
     Errors, also those of gradients, are the rasteriser's alone: all else that is left out or shared gives an image the
     very bits it has without.
@@ -315,13 +324,13 @@ def compile_plan(
 
     passes = len(passes_for(groups))
     coordinates = sum(start[group].numel() for group in groups)
-    still = [one for one in idle if one.group in groups]
+    still = [coordinate for coordinate in idle if coordinate.group in groups]
     items = [
         Item(
             what="coordinates",
             kept=coordinates - len(still),
             of=coordinates,
-            why="; ".join(f"{one.name}: {one.why}" for one in still)
+            why="; ".join(f"{coordinate.name}: {coordinate.why}" for coordinate in still)
             or f"each may change the image within {LARGEST_STEP:g}",
         ),
         Item(
@@ -384,7 +393,7 @@ def compile_plan(
         attacked = [group for group in groups if group in touched]
         if attacked:
             drawn = passes_for(attacked)
-            images = sum(len(one.colors) for one in drawn)
+            images = sum(len(shared_pass.colors) for shared_pass in drawn)
             count = sum(start[group].numel() for group in attacked)
             stages.append(
                 Stage(
@@ -410,12 +419,12 @@ def compile_plan(
 
 
 def _surfaces(drawing: "Drawing", n_objects: int) -> Iterator[Item]:
-    """Items of what the options of a scene add to its objects' own surfaces."""
+    """Yields items on the surfaces that the options of a scene add to its objects' own."""
     pieces = drawing.pieces
-    given = sum(piece.metallic_roughness is not None and piece.metallic_roughness.given for piece in pieces)
-    if given:
+    n_given = sum(piece.metallic_roughness is not None and piece.metallic_roughness.given for piece in pieces)
+    if n_given:
         why = "their metallic and roughness are the scene's, by the metallic-roughness BRDF; the others have their own"
-        yield Item(what="parts with a given surface", kept=given, of=len(pieces), why=why)
+        yield Item(what="parts with a given surface", kept=n_given, of=len(pieces), why=why)
     floor = sum(piece.faces for piece in pieces if piece.index >= n_objects)
     if floor:
         why = "no coordinate moves or recolours them; every image is drawn with them, for lights and objects do"
@@ -440,12 +449,12 @@ def _rasterise(rasterised: Rasterised, faces: int) -> Stage:
 
 def _why_opengl(rasterised: Rasterised | None) -> str:
     assert rasterised is not None
-    found = ""
+    measured = ""
     if rasterised.gradients:
-        off = ", ".join(f"{one.group} {one.relative:.2g}" for one in rasterised.gradients)
-        found = f" ({_words(rasterised.error)} in {1 + DRAWS} images around the start; relative errors of central "
-        found += f"differences over half-steps of {HALF_STEP:g} at the start: {off})"
-    return f"the rasteriser does not draw: {rasterised.refusal}{found}"
+        off = ", ".join(f"{gradient.group} {gradient.relative:.2g}" for gradient in rasterised.gradients)
+        measured = f" ({_words(rasterised.error)} in {1 + DRAWS} images around the start; relative errors of central "
+        measured += f"differences over half-steps of {HALF_STEP:g} at the start: {off})"
+    return f"the rasteriser does not draw: {rasterised.refusal}{measured}"
 
 
 def _words(error: ImageError) -> str:
@@ -465,8 +474,8 @@ def both_sides(start: Mapping[str, Tensor], groups: Sequence[str], step: float =
 
 
 def with_shadows(plan: Plan, drawing: "Drawing", lit: RenderPass, error: float) -> Plan:
-    """A plan with the lines on shadows; as it is if there are none. `lit` is the scene's own image, and `error` that of
-    `shadow_error`.
+    """Returns the plan with its item and its stage of shadows; unchanged if there are none. `lit` is the scene's own
+    image, and `error` that of `shadow_error`.
     """
     shadows = lit.shadows
     of_lights = None if shadows is None else pass_shadows(lit, shadows)

@@ -3,7 +3,7 @@
 Without a GPU, OpenGL takes a microsecond for every small face that covers a sample, and shades all of it though little
 is seen. The rasteriser shades what is seen only, once for all images of a pass, and draws passes side by side. Its
 sampling rules are its own (kernels/coverage.h, texture.h): they define an approximation of OpenGL's image, whose error
-is measured when a plan is made (errors.py). The image that is judged is OpenGL's.
+is measured when a plan is made (planner.py). The image that is judged is OpenGL's.
 """
 
 import ctypes
@@ -27,11 +27,11 @@ Image = NDArray[np.float32]
 SAMPLES = 4
 """MSAA samples per pixel. Fixed at compile time in the kernel."""
 GUARD = 1.5
-"""How much wider and higher than the frame the part of a floor is that is drawn, so that its edges stay outside."""
+"""Size of the drawn part of a floor relative to the frame. Above 1, so that its edges are never visible."""
 
 
 def refusal(drawing: "Drawing", lit: RenderPass) -> str | None:
-    """Why the rasteriser cannot draw this scene in this light, as a clause; None where it can."""
+    """Returns the reason why the rasteriser cannot draw this scene in this light, as a clause; None if it can."""
     if compiled.library() is None:
         return "there are no compiled kernels"
     materials = [piece.metallic_roughness for piece in drawing.pieces]
@@ -54,25 +54,34 @@ def draw(
     watertight: bool,
     floor: bool = False,
 ) -> list[tuple[Image, int] | None]:
-    """The radiance [images, rows, columns, 4] of each pass's part, the bottom row first, and how many faces are seen.
-    None for a pass in which a face reaches to the near plane or far beyond the frame, or is seen from its edge.
+    """Returns the radiance [images, rows, columns, 4] of each pass's part, the bottom row first, and the number of
+    faces that are seen; None for a pass in which a face reaches to the near plane or far beyond the frame, or is seen
+    from its edge.
 
     `size` (height, width) of the whole image; samples [4, 2], x and y in a pixel from its lower left corner;
     `watertight`: backfaces of watertight surfaces are culled. `floor`: the last piece is a scene's floor, which is
     clipped to what the camera sees of it, since it may reach to the camera and far beyond the frame. OpenGL must have
     drawn the drawing before: its mipmaps are used.
     """
-    if floor and passes and any((one.view.clip_from_world != passes[0].view.clip_from_world).any() for one in passes):
-        return [found for one in passes for found in draw(drawing, [one], size, samples, watertight, floor)]
+    if floor and passes and any((lit.view.clip_from_world != passes[0].view.clip_from_world).any() for lit in passes):
+        return [result for lit in passes for result in draw(drawing, [lit], size, samples, watertight, floor)]
     pieces = [_piece(piece) for piece in drawing.pieces]
     if floor and passes:
         pieces[-1] = _piece(_clipped(drawing.pieces[-1], passes[0].view.clip_from_world))
     sizes = {"height": size[0], "width": size[1], "pieces": len(pieces)}
     frame = compiled.structure("Frame", piece=pieces, x=samples[:, 0], y=samples[:, 1], **sizes)
-    made = [_pass(drawing, lit, size[0], watertight) for lit in passes]
-    n_seen = np.empty(len(made), np.int64)
-    compiled.call("raster", torch.float32, frame, len(made), [one for one, _ in made], n_seen, compiled.threads())
-    return [(images, int(faces)) if faces >= 0 else None for (_, images), faces in zip(made, n_seen, strict=True)]
+    prepared = [_pass(drawing, lit, size[0], watertight) for lit in passes]
+    n_seen = np.empty(len(prepared), np.int64)
+    compiled.call(
+        "raster",
+        torch.float32,
+        frame,
+        len(prepared),
+        [structure for structure, _ in prepared],
+        n_seen,
+        compiled.threads(),
+    )
+    return [(images, int(faces)) if faces >= 0 else None for (_, images), faces in zip(prepared, n_seen, strict=True)]
 
 
 def _piece(piece: "Piece") -> ctypes.Structure:
@@ -96,7 +105,7 @@ def _piece(piece: "Piece") -> ctypes.Structure:
 
 
 def _clipped(piece: "Piece", clip_from_world: NDArray[np.float64]) -> "Piece":
-    """A flat convex piece in world space as the part of it that is within GUARD times the frame, as a fan."""
+    """Returns the part of a flat convex piece, in world space, that is within GUARD times the frame, as a fan."""
     part = piece.part
     outline = np.append(part.vertices.astype(np.float64), np.ones((len(part.vertices), 1)), axis=1)
     to_clip = np.diag([1 / GUARD, 1 / GUARD, 1.0, 1.0]) @ clip_from_world

@@ -49,7 +49,7 @@ def draw_by_opengl(
 ) -> NDArray[np.float32]:
     """The radiance [images, rows, columns, 4] of the pass's part, the bottom row first.
 
-    `size` is the height and width of the whole image; `backfaces` says what is done with those of watertight surfaces.
+    `size` is the height and width of the whole image; `backfaces` is the treatment of those of watertight surfaces.
     """
     images: NDArray[np.float32] = context.current().renderer.draw(
         drawing,
@@ -85,7 +85,7 @@ CAMERAS = 32
 
 class Ground:
     """Displayed values behind the objects: one colour [3], or an image [H, W, 3]. A map is seen from each camera; a
-    colour and a picture stay as they are.
+    colour and an image stay as they are.
     """
 
     def __init__(self, scene: ResolvedScene, parameters: SceneParameters) -> None:
@@ -96,16 +96,16 @@ class Ground:
         self._seen = lru_cache(CAMERAS)(self._from)
 
     def before(self, camera: Array) -> Tensor:
-        """What is behind the objects before the camera of coordinates [4]."""
+        """Returns the displayed values behind the objects for a camera of coordinates [4]."""
         key = np.asarray(camera, np.float64).tobytes()
         return self.at_start if key == self._start or not self._scene.shows_map else self._seen(key)
 
     def at(self, parameters: Mapping[str, Tensor]) -> Tensor:
-        """As `before`, at parameters {group: [1, ...]}."""
+        """Returns the same as `before`, at parameters {group: [1, ...]}."""
         return self.before(self._parameters.checked(parameters)["camera"][0])
 
     def before_each(self, cameras: Array, size: tuple[int, int]) -> Tensor:
-        """Images [B, H, W, 3] of what is behind the objects before cameras [B, 4]."""
+        """Returns images [B, H, W, 3] of the displayed values behind the objects for cameras of coordinates [B, 4]."""
         return torch.stack([self.before(camera).expand(*size, 3) for camera in cameras])
 
     def _from(self, key: bytes) -> Tensor:
@@ -113,7 +113,9 @@ class Ground:
         return torch.tensor(self._scene.ground_from(view.clip_from_world), dtype=torch.float32)
 
     def part(self, camera: Array, part: tuple[int, int, int, int]) -> Tensor:
-        """As `before`, in rows from and to and columns from and to, the bottom row first as OpenGL has them."""
+        """Returns the same as `before` in rows from and to and columns from and to, the bottom row first as OpenGL has
+        them.
+        """
         ground = self.before(camera)
         top, bottom, left, right = part
         return ground if ground.dim() == 1 else ground[top:bottom, left:right].flip(0)
@@ -143,7 +145,7 @@ class PyrenderRenderer(DeclaredRenderer):
 
     The images of a batch share what they can (`batching`), and nothing is drawn where no object is, at no cost. Without
     a GPU the rasteriser draws instead of OpenGL if its error, measured when the renderer is made, is within tolerance
-    (`errors`), and so is that of its gradients. `exact` has OpenGL draw every image by itself and whole.
+    (`planner`), and so is that of its gradients. `exact` has OpenGL draw every image by itself and whole.
     """
 
     declaration = PYRENDER
@@ -151,7 +153,9 @@ class PyrenderRenderer(DeclaredRenderer):
     def __init__(
         self, scene: ResolvedScene, groups: Sequence[str] | None = None, tolerance: Tolerance = DEFAULT_TOLERANCE
     ) -> None:
-        """For attacks on `groups` (None: the default groups). For the meaning of a tolerance see `errors`."""
+        """Makes the renderer for attacks on `groups` (None: the default groups). For the meaning of a tolerance see
+        `services.rendering.plan`.
+        """
         self.backend = context.current().backend
         from services.rendering.opengl.mesh_upload import closed_drawing  # imports OpenGL, so after the context
 
@@ -215,7 +219,9 @@ class PyrenderRenderer(DeclaredRenderer):
         return with_shadows(plan, self.drawing, self._at_start(), error)
 
     def _try_rasteriser(self, groups: tuple[str, ...], tolerance: float) -> Rasterised:
-        """Whether the rasteriser draws within the tolerance, and with which error; sets `_rasterises`."""
+        """Measures the rasteriser and lets it draw if it is within the tolerance (`_rasterises`); returns its accuracy,
+        or the reason why OpenGL draws.
+        """
         why = rasteriser.refusal(self.drawing, start := self._at_start())
         if why is None and not context.current().software:
             why = "a graphics card is faster"
@@ -259,7 +265,7 @@ class PyrenderRenderer(DeclaredRenderer):
         return self._numbers.light_names() if group == "illumination" else super().names(group)
 
     def bounds(self) -> Mapping[str, tuple[Tensor, Tensor]]:
-        """See `SceneParameters.bounds`."""
+        """Returns the bounds of `SceneParameters.bounds`."""
         return self._numbers.bounds()
 
     def exact(self) -> "PyrenderRenderer":
@@ -322,14 +328,14 @@ class PyrenderRenderer(DeclaredRenderer):
         return beyond(corners, view.clip_from_world, margin * (1 + ROUNDING) + ROUNDING)
 
     def inactive(self, parameters: Mapping[str, Tensor], reach: Mapping[str, float]) -> list[InactiveCoordinate]:
-        """See `inactive_coordinates`. With shadows: what is inactive without them, as a shadow only takes light
-        away; but an object out of the frame may cast its shadow into it.
+        """Returns `inactive_coordinates`. With shadows they are those without, as a shadow only takes light away,
+        except poses: an object out of the frame may cast its shadow into it.
         """
         plain = copy(self)
         plain._numbers = self._numbers.unshadowed()
-        found = inactive_coordinates(plain, parameters, reach)
+        inactive = inactive_coordinates(plain, parameters, reach)
         moves = () if self._numbers.shadows is None else ("translation", "rotation")
-        return [one for one in found if one.group not in moves]
+        return [coordinate for coordinate in inactive if coordinate.group not in moves]
 
     def _draw(self, batch: Mapping[str, Array], empty: Tensor, finish: Callable[[Tensor, Tensor], Tensor]) -> Tensor:
         """Writes `finish` of radiance [..., 4] and ground into `empty` [B, H, W, C] where objects are; returns it.
@@ -389,7 +395,7 @@ class PyrenderRenderer(DeclaredRenderer):
 
 
 def varied(renderer: Renderer, parameters: Mapping[str, Tensor], variation: Variation) -> Parameters:
-    """The values [B, …] by group under a variation of view and light.
+    """Returns the values [B, …] by group under a variation of view and light.
 
     Ambient light and energies are multiplied; lights stay in place.
     """

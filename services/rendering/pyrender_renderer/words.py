@@ -35,21 +35,21 @@ def changes(scene: ResolvedScene, renderer: Renderer, perturbation: Mapping[str,
         for mesh, placed in zip(scene.meshes, objects, strict=True)
     ]
     initial = {group: value.double().numpy() for group, value in renderer.initial().items()}
-    found: list[PhysicalChange] = []
+    result: list[PhysicalChange] = []
     for group, moved in perturbation.items():
         change = moved.double().numpy()
         if group == "illumination":
             names = renderer.names(group) or []
-            found += light_changes(names, initial[group], change, lengths[0] if len(lengths) == 1 else None)
+            result += light_changes(names, initial[group], change, lengths[0] if len(lengths) == 1 else None)
         elif group == "color":
-            found += color_changes(change)
+            result += color_changes(change)
         elif group == "translation":
-            found += translation_changes(change, lengths)
+            result += translation_changes(change, lengths)
         elif group == "rotation":
-            found += rotation_changes(initial[group], change)
+            result += rotation_changes(initial[group], change)
         elif group == "camera":
-            found += camera_changes(change, lengths[0] if len(lengths) == 1 else None)
-    return found
+            result += camera_changes(change, lengths[0] if len(lengths) == 1 else None)
+    return result
 
 
 def light_changes(
@@ -101,7 +101,7 @@ def rotation_changes(initial: Doubles, change: Doubles) -> Iterator[PhysicalChan
 
 
 def camera_changes(change: Doubles, centimetres: float | None) -> Iterator[PhysicalChange]:
-    """Changes of azimuth, elevation, distance and roll [4]: signed angles, and how far the distance changes."""
+    """Changes of azimuth, elevation, distance and roll [4]: signed angles, and the change of the distance."""
     azimuth, elevation, distance, roll = (float(value) for value in change)
     for word, value in (("azimuth", azimuth), ("elevation", elevation), ("roll", roll)):
         yield _angle("camera", word, value)
@@ -146,20 +146,20 @@ def worded(scene: ResolvedScene, renderer: Renderer, perturbation: Mapping[str, 
     ]
     around = lengths[0] if len(lengths) == 1 else None
     names, axes = object_names(scene.description, scene.titles), scene.view[:3, :3].T
-    found: list[Change] = []
+    result: list[Change] = []
     for group, moved in perturbation.items():
         initial, change = renderer.initial()[group].double().numpy(), moved.double().numpy()
         if group == "illumination":
-            found += lights(renderer.names(group) or [], initial, change, around, axes)
+            result += lights(renderer.names(group) or [], initial, change, around, axes)
         elif group == "color":
-            found += [color(name, k, initial[k], change[k]) for k, name in enumerate(names)]
+            result += [color(name, k, initial[k], change[k]) for k, name in enumerate(names)]
         elif group == "translation":
-            found += [translation(name, k, initial[k], change[k], lengths[k], axes) for k, name in enumerate(names)]
+            result += [translation(name, k, initial[k], change[k], lengths[k], axes) for k, name in enumerate(names)]
         elif group == "rotation":
-            found += [rotation(name, k, initial[k], change[k], axes) for k, name in enumerate(names)]
+            result += [rotation(name, k, initial[k], change[k], axes) for k, name in enumerate(names)]
         elif group == "camera":
-            found.append(camera(initial, change, around))
-    return found
+            result.append(camera(initial, change, around))
+    return result
 
 
 def translation(

@@ -71,8 +71,8 @@ register(TORCH)
 def stored_presets() -> dict[str, dict[str, Any]]:
     """Returns the fits of all presets by name, as presets.json has them."""
     text = files("services.rendering.torch_renderer").joinpath("presets.json").read_text()
-    found: dict[str, dict[str, Any]] = json.loads(text)["presets"]
-    return found
+    presets: dict[str, dict[str, Any]] = json.loads(text)["presets"]
+    return presets
 
 
 def check_preset(name: str, field: str = "material") -> None:

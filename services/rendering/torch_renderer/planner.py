@@ -271,7 +271,7 @@ def gradient_errors(
     values = {"normals": sample.angles, "illumination": illumination, "material": sample.material}
     if "illumination_rgb" in groups:
         values["illumination_rgb"] = illumination.new_zeros(3, len(illumination))
-    found = []
+    gradients = []
     for compared in (replace(recipe, guard=None), exact):
         leaves = {
             name: value.to(compared.dtype, copy=True).requires_grad_(name in groups) for name, value in values.items()
@@ -285,10 +285,10 @@ def gradient_errors(
         total = (displayed * weights.to(compared.dtype)).sum()
         if not total.requires_grad:  # nothing is attacked, or no light reaches the surface whatever is changed
             return []
-        found.append(torch.autograd.grad(total, [leaves[name] for name in groups], materialize_grads=True))
+        gradients.append(torch.autograd.grad(total, [leaves[name] for name in groups], materialize_grads=True))
     return [
         GradientError(part=surface.with_layer(surface.name), group=group, **_compared(value.double(), truth))
-        for group, value, truth in zip(groups, *found, strict=True)
+        for group, value, truth in zip(groups, *gradients, strict=True)
     ]
 
 
@@ -404,7 +404,8 @@ def table_stages(
 
 
 PIXELS = 256
-"""Maximum number of pixels at which the error is measured."""
+"""Maximum number of pixels of a surface at which the error of a constant reflectance is measured, and of a region at
+which images under two maps are compared."""
 
 
 @torch.no_grad()
@@ -525,7 +526,7 @@ def compile_plan(
 
 @dataclass(frozen=True)
 class _Needs:
-    """The work that every method has to do: a recipe to start from, and the plan's items for what it leaves out."""
+    """The work that every method has to do: a recipe to start from, and the plan's items on what it leaves out."""
 
     recipe: Recipe
     items: list[Item]
@@ -654,7 +655,7 @@ def _tables(
     pixels = len(surface.angles)
     rough = roughness(surface, sky, illumination, groups, ROUGHNESS_ROWS)
     order = direct.active_texels[rough[direct.active_texels].argsort(descending=True, stable=True)]
-    found = []
+    candidates = []
     for rows in TABLE_ROWS:
         begun = touched(surface.angles, rows)
         count = int(begun.sum() + (begun | touched(reached, rows)).sum()) * tiles(rows).shape[1] // 2
@@ -662,8 +663,8 @@ def _tables(
         for sharp in PER_PIXEL_COUNTS:
             if sharp <= len(order) // 2:
                 recipe = replace(direct, method=kind, rows=rows, per_pixel_texels=order[:sharp].sort().values)
-                found.append((_cost(recipe, count, pixels), recipe, count))
-    for cost, recipe, count in sorted(found, key=lambda one: one[0]):
+                candidates.append((_cost(recipe, count, pixels), recipe, count))
+    for cost, recipe, count in sorted(candidates, key=lambda candidate: candidate[0]):
         if cost < MAX_COST_RATIO * _cost(direct, 0, pixels):
             yield recipe, count
 
@@ -702,17 +703,14 @@ def _item(surface: Surface, what: str, kept: int, of: int, why: str, error: floa
     return Item(part=surface.name, what=what, kept=kept, of=of, why=why, error=error)
 
 
-"""Maximum number of pixels of each object that are shaded under both maps."""
-
-
 def looked_at(counts: Sequence[int]) -> Tensor:
     """Returns the indices of the pixels that are shaded, int64, in a list of all pixels region by region. `counts` are
     the numbers of pixels of the regions."""
-    first, found = 0, [torch.zeros(0, dtype=torch.int64)]
+    first, indices = 0, [torch.zeros(0, dtype=torch.int64)]
     for count in counts:
-        found.append(torch.arange(first, first + count)[:: stride(count, PIXELS)])
+        indices.append(torch.arange(first, first + count)[:: stride(count, PIXELS)])
         first += count
-    return torch.cat(found)
+    return torch.cat(indices)
 
 
 @torch.no_grad()

@@ -42,14 +42,14 @@ from services.scenes.resolve import ResolvedScene
 
 
 def ignored_items(scene: ResolvedScene) -> Iterator[Item]:
-    """Yields items on what the scene says of its surfaces and the renderer does not use."""
+    """Yields items on the surface properties of the scene that the renderer does not use."""
     why = "metallic, roughness, emission and occlusion are ignored: the torch renderer has materials of its own"
     parts = [part for placed in scene.placed if not placed.given_surface for part in placed.mesh.parts]
     if own := sum(part.metallic_roughness is not None for part in parts):
         yield Item(what="materials of the file", kept=0, of=own, why=why)
-    if given := sum(placed.given_surface for placed in scene.placed):
+    if n_given := sum(placed.given_surface for placed in scene.placed):
         why = "the fields are pyrender's: the torch renderer has materials of its own, named in `material`"
-        yield Item(what="metallic and roughness", kept=0, of=given, why=why)
+        yield Item(what="metallic and roughness", kept=0, of=n_given, why=why)
 
 
 def surface_items(visible: VisibleSurfaces) -> Iterator[Item]:
@@ -195,7 +195,7 @@ class TorchRenderer(DeclaredRenderer):
 
     @cached_property
     def plan(self) -> Plan:
-        """The plan. The error of the map's size is measured when it is first asked for: who only draws never asks."""
+        """The plan. The error due to the map's size is measured on first access, as drawing alone does not need it."""
         error = self._made_of[0].once("error of the map's size", self._map_error)
         return self._plan.model_copy(update={"environment_map_error": error})
 
@@ -231,8 +231,8 @@ class TorchRenderer(DeclaredRenderer):
             raise ValueError(f"groups with different batch sizes {sorted(batch)}")
         for group, value in parameters.items():
             if group not in self._initial or value.shape[1:] != self._initial[group].shape:
-                wanted = {name: ("B", *initial.shape) for name, initial in self._initial.items()}
-                raise ValueError(f"group {group!r} of shape {tuple(value.shape)}; wanted {wanted}")
+                expected = {name: ("B", *initial.shape) for name, initial in self._initial.items()}
+                raise ValueError(f"group {group!r} of shape {tuple(value.shape)}; wanted {expected}")
             if group not in self._attacked and not self._is_exact:  # the exact renderer takes every group
                 raise ValueError(f"group {group!r} is not among {self._attacked}, which this renderer is compiled for")
         # One image at a time: its operations and shapes, and so its bits, do not depend on the rest of the batch.
@@ -245,7 +245,7 @@ class TorchRenderer(DeclaredRenderer):
     def exact(self) -> "TorchRenderer":
         """Returns the exact renderer of the same scene, which computes in float64 without shortcuts.
 
-        It is made when it is first asked for: who only draws a scene never asks.
+        It is made on first access, as drawing alone does not need it.
         """
         return self._twin
 
@@ -259,22 +259,22 @@ class TorchRenderer(DeclaredRenderer):
         """Number of times that an object's sampled check failed, so that its pixels were summed directly."""
         return sum(shader.summed_after_all for shader in self.shaders)
 
-    def _image(self, given: Parameters) -> Tensor:
+    def _image(self, parameters: Parameters) -> Tensor:
         """Renders one image [H, W, 3]; groups that are not given keep the scene's own values."""
-        values = self._initial | given
+        values = self._initial | parameters
         angles, intensity = self._canvas.covered(values["normals"]), values["illumination"].flatten()
         if self._turns is not None:
             angles = angles + self._turns
-        if "illumination_rgb" in given:
-            intensity = (intensity + given["illumination_rgb"].reshape(-1, 3).T).clamp_min(0.0)  # [3, D]
+        if "illumination_rgb" in parameters:
+            intensity = (intensity + parameters["illumination_rgb"].reshape(-1, 3).T).clamp_min(0.0)  # [3, D]
         shaders, materials = iter(self.shaders), [*values["material"], *self._fixed]
         shaded = []
         for parts, own, color, owner in zip(
             self._layers, torch.split(angles, self._counts), self._colors, self._owners, strict=True
         ):
             material = materials[owner]
-            found = [next(shaders)(own, intensity, layer.material(material)).to(self._dtype) for layer in parts]
-            shaded.append(found[0] if len(parts) == 1 else color * found[0] + found[1])
+            radiances = [next(shaders)(own, intensity, layer.material(material)).to(self._dtype) for layer in parts]
+            shaded.append(radiances[0] if len(parts) == 1 else color * radiances[0] + radiances[1])
         return self._canvas.image(torch.cat(shaded) if len(shaded) > 1 else shaded[0])
 
     def _map_error(self) -> float | None:
@@ -287,8 +287,8 @@ class TorchRenderer(DeclaredRenderer):
         shown, surfaces = self._shaded
         if seen is not None:
             some = shown.some(looked_at(self._counts).to(self._device)).to(torch.device("cpu"))
-            found = visibility(replace(scene, environment=scene.finest_environment), some)
-            seen = None if found is None else found.to(self._device)
+            visible = visibility(replace(scene, environment=scene.finest_environment), some)
+            seen = None if visible is None else visible.to(self._device)
         return map_error(surfaces, self._light, (sky_of(light, to_camera), light.intensity.flatten()), seen)
 
 
@@ -334,8 +334,8 @@ def smallest_map(scene: ResolvedScene, tolerance: Tolerance) -> tuple[int, int]:
 
 
 def varied(renderer: Renderer, parameters: Mapping[str, Tensor], variation: Variation) -> Parameters:  # noqa: ARG001
-    """The values [B, …] by group under a variation of the map's intensity: all light is scaled, what is attacked in one
-    channel too.
+    """Returns the values [B, …] by group under a variation of the map's intensity: all light is scaled, also that which
+    is attacked in one channel.
 
     The renderer can draw no other variation. Its normals belong to the pixels of one view, and it cannot turn the map,
     since each texel of the group `illumination` keeps its colour.

@@ -1,9 +1,9 @@
 """The radiance of one object's pixels, by the method that its recipe names.
 
-Each pixel is summed directly, or looked up in a table over normals (lookup_table) whose nodes are summed. A table is
-good where radiance is smooth in the normal, and a few texels spoil that: each light has an edge where it sets behind
-the surface's horizon, steep for a strong light, and a highlight, narrow under a sharp lobe. The light of these texels
-is summed at every pixel, and the table holds the rest.
+Each pixel is summed directly, or looked up in a table over normals (`table`) whose nodes are summed. A table is good
+where radiance is smooth in the normal, and a few texels spoil that: each light has an edge where it sets behind the
+surface's horizon, steep for a strong light, and a highlight, narrow under a sharp lobe. The light of these texels is
+summed at every pixel, and the table holds the rest.
 
 Either sum is done by the cheapest method that the attacked groups allow:
 
@@ -35,10 +35,11 @@ from services.rendering.torch_renderer.shading import (
 from services.rendering.torch_renderer.table import TILE, chosen_pixels, look_up, nodes_of, tiles, to_vectors, touched
 
 CHECKED = 256
-"""Pixels of a looked-up image that are summed as well, at most, to see whether the table still holds."""
+"""Maximum number of pixels at which a looked-up image is checked against the direct sum."""
 
 CHECKED_AT_FIXED_NORMALS = 2 * CHECKED
-"""Pixels that are checked where only the light changes: their factors are stored, so that a check is a product."""
+"""Maximum number of checked pixels where only the light changes: their factors are stored, so that a check is a
+product."""
 
 Method = Literal["cached_table", "precomputed_transport", "summed"]
 
@@ -55,7 +56,7 @@ class Sky:
 
 @dataclass(frozen=True)
 class Recipe:
-    """How one object is shaded: the executable side of its plan.
+    """The method by which one object is shaded: the executable side of its plan.
 
     active_texels: the texels of the map that are used at all [D]. gray: the three channels have the same lobes.
     varying, straight: bool [3, lobes], the lobes that are summed and those that are a straight line in log n·h; the
@@ -178,14 +179,14 @@ class Shader:
         self.summed_after_all += 1
         return self._whole(to_vectors(angles), illumination, material)
 
-    def _filled(self, wanted: Tensor, illumination: Tensor, material: Tensor) -> Tensor:
-        """The table with every node of the `wanted` tiles."""
+    def _filled(self, tile_mask: Tensor, illumination: Tensor, material: Tensor) -> Tensor:
+        """Returns the table with every node of the tiles that `tile_mask` marks."""
         recipe = self.recipe
         assert recipe.rows is not None
         if recipe.method != "cached_table":
-            nodes = self._still_nodes or nodes_of(wanted, recipe.rows, recipe.dtype)
+            nodes = self._still_nodes or nodes_of(tile_mask, recipe.rows, recipe.dtype)
             return self._table.index_copy(0, nodes.places, self._smooth(nodes.vectors, illumination, material))
-        missing = wanted & ~self._known
+        missing = tile_mask & ~self._known
         if bool(missing.any()):
             if not compiled.runs(self._table):  # in torch a value's last bits depend on its neighbours: all at once
                 missing = torch.ones_like(missing)
@@ -197,7 +198,7 @@ class Shader:
 
 
 def checked_pixels(recipe: Recipe) -> int:
-    """Pixels of a looked-up image that are summed as well, at most."""
+    """Maximum number of pixels of a looked-up image that are checked against the direct sum."""
     return CHECKED_AT_FIXED_NORMALS if recipe.method == "precomputed_transport" else CHECKED
 
 

@@ -251,8 +251,8 @@ def _packed(
     half: Tensor,
     visibility: Tensor | None = None,
 ) -> ctypes.Structure:
-    given = {"normals": normals, "towards": towards, "half": half, "light": light, "base": base, "tilt": tilt}
-    given |= {"log_kappa": log_kappa, "gamma": gamma, "visibility": visibility}
+    tensors = {"normals": normals, "towards": towards, "half": half, "light": light, "base": base, "tilt": tilt}
+    tensors |= {"log_kappa": log_kappa, "gamma": gamma, "visibility": visibility}
     lowest, highest = LOG_EXPONENT_RANGE
     return compiled.structure(
         f"shading.Scene.{compiled.NAMES[normals.dtype]}",
@@ -263,7 +263,7 @@ def _packed(
         cosine_floor=COSINE_FLOOR,
         lowest=lowest,
         highest=highest,
-        **{name: value if value is None else value.contiguous() for name, value in given.items()},
+        **{name: value if value is None else value.contiguous() for name, value in tensors.items()},
     )
 
 
@@ -430,8 +430,9 @@ def lambert_radiance(normals: Tensor, light: Tensor, towards: Tensor, visibility
 
 
 def lambert_transport(normals: Tensor, towards: Tensor, visibility: Tensor | None = None) -> Tensor:
-    """Returns max(0, n·ω) · visibility by direction and pixel, [1, D, P]: what `lambert_radiance` sums per unit of
-    light, the same in all channels. Arguments are those of `lambert_radiance`."""
+    """Returns max(0, n·ω) · visibility by direction and pixel, [1, D, P]: the factors by which `lambert_radiance`
+    multiplies the light, the same in all channels. Arguments are those of `lambert_radiance`.
+    """
     out = normals.new_empty(1, towards.shape[1], len(normals))
     for some in _parts(normals, towards):
         out[0, :, some] = _cosines(normals, towards, visibility, some)[0].T

@@ -1,5 +1,5 @@
-"""The surfaces that the torch renderer shades: what each covered pixel shows, which texels of the environment map it
-sees past the scene's objects, and which pixels are in shadow.
+"""The surfaces that the torch renderer shades: those of each covered pixel, the texels of the environment map that they
+see past the scene's objects, and the pixels in shadow.
 
 Geometry is fixed in the torch renderer, so visibility is computed once: from every covered pixel a ray runs towards a
 square grid of directions within each texel (kernels/visibility.cpp), and the share of rays that meet nothing is a
@@ -79,7 +79,7 @@ def inner_balls(scene: ResolvedScene, triangles: Floats, owners: NDArray[np.int6
 
     A ray through the ball is stopped by the object whatever triangle it meets: few rays need the others.
     """
-    found = np.zeros((len(scene.placed), 4), np.float32)
+    balls = np.zeros((len(scene.placed), 4), np.float32)
     for index, placed in enumerate(scene.placed):
         own = triangles[owners == index].astype(np.float64)
         if not len(own) or not is_convex(placed.mesh):
@@ -89,8 +89,8 @@ def inner_balls(scene: ResolvedScene, triangles: Floats, owners: NDArray[np.int6
         across = np.cross(b - a, c - a)
         lengths = np.linalg.norm(across, axis=1)
         heights = ((a - centre) * across).sum(axis=1)[lengths > 0] / lengths[lengths > 0]
-        found[index] = *centre, max(0.0, (1 - INSIDE) * float(heights.min()))
-    return found
+        balls[index] = *centre, max(0.0, (1 - INSIDE) * float(heights.min()))
+    return balls
 
 
 def _by_object(scene: ResolvedScene, triangles: Floats, owners: NDArray[np.int64]) -> tuple[Any, ...]:
@@ -118,7 +118,7 @@ def texel_directions(rows: int, columns: int, side: int) -> Tensor:
 def casters(scene: ResolvedScene) -> tuple[Floats, NDArray[np.int64]]:
     """Returns the triangles that cast shadows, float32 [F, 3, 3] in world space, and the object of each, int64 [F],
     ascending."""
-    found, owners = [np.zeros((0, 3, 3), np.float32)], [np.zeros(0, np.int64)]
+    triangles, owners = [np.zeros((0, 3, 3), np.float32)], [np.zeros(0, np.int64)]
     for index, placed in enumerate(scene.placed):
         model = placed.model
         for part in placed.mesh.parts:
@@ -126,9 +126,9 @@ def casters(scene: ResolvedScene) -> tuple[Floats, NDArray[np.int64]]:
             if part.color[3] < 1 or (material is not None and material.alpha_mode == "BLEND"):
                 continue
             corners = part.vertices.astype(np.float64) @ model[:3, :3].T + model[:3, 3]
-            found.append(corners[part.faces].astype(np.float32))
+            triangles.append(corners[part.faces].astype(np.float32))
             owners.append(np.full(len(part.faces), index))
-    return np.ascontiguousarray(np.concatenate(found)), np.concatenate(owners)
+    return np.ascontiguousarray(np.concatenate(triangles)), np.concatenate(owners)
 
 
 def _in_squares(pixels: Tensor, width: int) -> Tensor:
@@ -154,8 +154,8 @@ def _surface(
     units = np.ascontiguousarray(rays / lengths[:, None], np.float32)
     eye = np.ascontiguousarray(scene.eye, np.float32)
     distances, faces = np.empty(len(units), np.float32), np.empty(len(units), np.int32)
-    found = (*_by_object(scene, triangles, owners), len(units), eye, units, distances, faces)
-    compiled.call("nearest_hits", torch.float32, *found, compiled.threads())
+    arguments = (*_by_object(scene, triangles, owners), len(units), eye, units, distances, faces)
+    compiled.call("nearest_hits", torch.float32, *arguments, compiled.threads())
     index = shown.object_index.numpy()
     own = (faces >= 0) & (np.append(owners, -1)[faces] == index)
     along = np.where(own, distances / lengths, shown.depth.numpy())
@@ -182,7 +182,7 @@ IN_SHADOW = " in shadow"
 class Regions:
     """Regions of the covered pixels. `order` [P] sorts the pixels by region and keeps their order within one.
 
-    For each region: `owners`, the object's index; `counts`, its pixels; `names`, what plans call it; `visibilities`,
+    For each region: `owners`, the object's index; `counts`, its pixels; `names`, its name on plans; `visibilities`,
     uint8 [D, its pixels] in units of 1 / WHOLE, None where nothing is hidden.
     """
 
@@ -208,16 +208,16 @@ def regions(owner: Tensor, visibility: Tensor | None, names: Sequence[str], by_s
             parts = [*torch.split(visibility, counts, dim=1)]
         return Regions(order, list(range(len(names))), counts, list(names), parts)
     shadowed = (visibility < WHOLE).any(0)
-    found = Regions(torch.argsort(2 * owner + shadowed, stable=True), [], [], [], [])
+    result = Regions(torch.argsort(2 * owner + shadowed, stable=True), [], [], [], [])
     for k, name in enumerate(names):
         for kind, words in ((False, ""), (True, IN_SHADOW)):
             own = ((owner == k) & (shadowed == kind)).nonzero()[:, 0]
             if len(own) or (not kind and not bool((owner == k).any())):
-                found.owners.append(k)
-                found.counts.append(len(own))
-                found.names.append(name + words)
-                found.visibilities.append(visibility[:, own] if kind else None)
-    return found
+                result.owners.append(k)
+                result.counts.append(len(own))
+                result.names.append(name + words)
+                result.visibilities.append(visibility[:, own] if kind else None)
+    return result
 
 
 @dataclass(frozen=True)
@@ -225,8 +225,8 @@ class VisibleSurfaces:
     """The surfaces, sorted by object and then by normal, so that neighbours see the same light.
 
     image: the angles of each pixel [H, W, 2], 0 where nothing is. shown: the surfaces. angles: theirs [P, 2]. turns:
-    what their angles are more than their pixel's [P, 2], or None where each pixel shows one surface. Angles are in
-    radians, in the camera's frame, float64 rounded to float32, so that the exact renderer renders the same scene.
+    their angles minus those of their pixel [P, 2], or None where each pixel shows one surface. Angles are in radians,
+    in the camera's frame, float64 rounded to float32, so that the exact renderer renders the same scene.
     """
 
     image: Tensor
@@ -248,7 +248,9 @@ class VisibleSurfaces:
 
 
 def visible_surfaces(gbuffer: GBuffer, to_camera: Tensor) -> VisibleSurfaces:
-    """Returns what a G-buffer shows. `to_camera` [3, 3] turns world vectors, as rows, into the camera's frame."""
+    """Returns the surfaces that a G-buffer shows. `to_camera` [3, 3] turns world vectors, as rows, into the camera's
+    frame.
+    """
     shown, normals = gbuffer.surfaces(), gbuffer.normals
     if gbuffer.fragments is not None:
         first = shown.rank == 0

@@ -66,18 +66,18 @@ class _Vectors(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, angles: Tensor) -> Tensor:
         ctx.save_for_backward(angles)
-        found = angles.new_empty(*angles.shape[:-1], 3)
-        compiled.call("vectors", angles.dtype, angles.numel() // 2, angles, found, compiled.threads())
-        return found
+        vectors = angles.new_empty(*angles.shape[:-1], 3)
+        compiled.call("vectors", angles.dtype, angles.numel() // 2, angles, vectors, compiled.threads())
+        return vectors
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, gradient: Tensor) -> Tensor:
         [angles] = ctx.saved_tensors
-        found = torch.empty_like(angles)
-        arguments = (angles.numel() // 2, angles, gradient.contiguous(), found)
+        result = torch.empty_like(angles)
+        arguments = (angles.numel() // 2, angles, gradient.contiguous(), result)
         compiled.call("vectors_backward", angles.dtype, *arguments, compiled.threads())
-        return found
+        return result
 
 
 CPU = torch.device("cpu")
@@ -100,9 +100,9 @@ def look_up(table: Tensor, angles: Tensor) -> Tensor:
 def touched(angles: Tensor, rows: int) -> Tensor:
     """Marks the tiles on which the values at `angles` [P, 2] depend: bool [tiles of the table]."""
     if compiled.runs(angles):
-        found, plain = torch.zeros(len(tiles(rows)), dtype=torch.bool), angles.detach().contiguous()
-        compiled.call("touch", angles.dtype, len(plain), rows, plain, found, compiled.threads())
-        return found
+        marked, plain = torch.zeros(len(tiles(rows)), dtype=torch.bool), angles.detach().contiguous()
+        compiled.call("touch", angles.dtype, len(plain), rows, plain, marked, compiled.threads())
+        return marked
     nodes = torch.zeros(2 * rows * rows, dtype=torch.bool, device=angles.device)
     nodes[_interpolation_weights(angles.detach(), rows)[0].flatten()] = True
     return nodes[tiles(rows, angles.device)].any(1)
@@ -135,10 +135,10 @@ class Nodes:
     vectors: Tensor
 
 
-def nodes_of(wanted: Tensor, rows: int, dtype: torch.dtype) -> Nodes:
-    """Returns the nodes of the tiles that `wanted` (bool, as `touched` returns) names; their normals have `dtype`."""
-    places = tiles(rows, wanted.device)[wanted].flatten()
-    return Nodes(places, node_vectors(rows, wanted.device)[places].to(dtype))
+def nodes_of(tile_mask: Tensor, rows: int, dtype: torch.dtype) -> Nodes:
+    """Returns the nodes of the tiles that `tile_mask` (bool, as `touched` returns) marks, with normals of `dtype`."""
+    places = tiles(rows, tile_mask.device)[tile_mask].flatten()
+    return Nodes(places, node_vectors(rows, tile_mask.device)[places].to(dtype))
 
 
 def nearest(angles: Tensor, rows: int) -> Tensor:
@@ -169,14 +169,14 @@ def unevenness(table: Tensor, filled: Tensor) -> Tensor:
     values = values.reshape(rows, 2 * rows)
     beyond = values.roll(rows, 1)  # beyond a pole the rows repeat in reverse, shifted by half a turn
     values = torch.cat([beyond[:_BORDER].flip(0), values, beyond[-_BORDER:].flip(0)])
-    found = values.new_zeros(2, *values.shape)
+    scores = values.new_zeros(2, *values.shape)
     for along in (0, 1):
         second = _second_difference(values, along)
         fourth = _second_difference(second, along)
-        found = torch.maximum(found, torch.stack((second, fourth)).abs_().nan_to_num_(0.0))
+        scores = torch.maximum(scores, torch.stack((second, fourth)).abs_().nan_to_num_(0.0))
     for along in (1, 2):
-        found = torch.maximum(torch.maximum(found.roll(1, along), found.roll(-1, along)), found)
-    return found[:, _BORDER:-_BORDER].flatten(1)
+        scores = torch.maximum(torch.maximum(scores.roll(1, along), scores.roll(-1, along)), scores)
+    return scores[:, _BORDER:-_BORDER].flatten(1)
 
 
 _BORDER = 3
@@ -279,8 +279,8 @@ def chosen_pixels(
     likely = uneven[:, nearest(angles.detach(), rows)] * steepness
     stride = count // (most - 2 * third)
     even = torch.arange(_start(shaded) % stride, count, stride, device=angles.device)[: most - 2 * third]
-    found: Tensor = torch.unique(torch.cat([*likely.topk(third).indices, even]))
-    return found
+    pixels: Tensor = torch.unique(torch.cat([*likely.topk(third).indices, even]))
+    return pixels
 
 
 def _start(shaded: Tensor) -> int:

@@ -33,20 +33,20 @@ def changes(
     perturbation: Mapping[str, Tensor],
 ) -> list[PhysicalChange]:
     """A perturbation of the renderer's initial values, by group."""
-    found: list[PhysicalChange] = []
+    result: list[PhysicalChange] = []
     for group, change in perturbation.items():
         if group == "normals":
             initial = renderer.initial()[group]
             covered = (initial != 0).any(dim=-1)  # the angles of uncovered pixels are 0
-            found += normal_changes(initial, change, covered)
+            result += normal_changes(initial, change, covered)
         elif group == "illumination":
-            found += map_changes(group, "map", change)
+            result += map_changes(group, "map", change)
         elif group == "illumination_rgb":
             for channel, values in zip(CHANNELS, change.unbind(-1), strict=True):
-                found += map_changes(group, f"map, {channel}", values)
+                result += map_changes(group, f"map, {channel}", values)
         elif group == "material":
-            found += material_changes(change)
-    return found
+            result += material_changes(change)
+    return result
 
 
 def normal_changes(initial: Tensor, change: Tensor, covered: Tensor) -> Iterator[PhysicalChange]:
@@ -96,7 +96,7 @@ MAP_WIDTH = 512
 BRIGHT = 4.0
 """Intensity, in means of the map, that is drawn white."""
 LEAST_RATIO = 0.01
-"""Intensity, in means of the map, below which a ratio is not told."""
+"""Smallest intensity in ratios, in means of the map; darker texels count as this."""
 LIGHT = 45.0
 """Angle of incidence of the light of the lobes' curves, degrees."""
 VIEWERS = tuple(float(angle) for angle in range(-85, 90, 5))
@@ -110,14 +110,14 @@ SCALE = torch.tensor([[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98],
 def drawn(renderer: Renderer, perturbation: Mapping[str, Tensor]) -> dict[str, Tensor]:
     """Images, uint8 [h, w, 3], by file name, of those groups that can be drawn."""
     initial = renderer.initial()
-    found: dict[str, Tensor] = {}
+    images: dict[str, Tensor] = {}
     if "normals" in perturbation:
-        found["normals-tilt.png"] = tilt_image(tilts(initial["normals"], perturbation["normals"]))
+        images["normals-tilt.png"] = tilt_image(tilts(initial["normals"], perturbation["normals"]))
     if any(group in perturbation for group in LIGHT_GROUPS):
         before, after = maps(initial, perturbation)
-        found |= {"map-before.png": map_image(before), "map-after.png": map_image(after)}
-        found["map-ratio.png"] = ratio_image(stops(before, after))
-    return found
+        images |= {"map-before.png": map_image(before), "map-after.png": map_image(after)}
+        images["map-ratio.png"] = ratio_image(stops(before, after))
+    return images
 
 
 def images_of(subject: str, initial: Mapping[str, Tensor], perturbation: Mapping[str, Tensor]) -> list[ChangeImage]:
@@ -166,10 +166,10 @@ def tilt_image(angles: Tensor) -> Tensor:
 
 def intensities(values: Mapping[str, Tensor]) -> Tensor:
     """A map's intensities by channel [rows, cols, 3], of values of the groups, in means of the unperturbed map."""
-    found = values["illumination"].double()[..., None].expand(-1, -1, 3)
+    intensity = values["illumination"].double()[..., None].expand(-1, -1, 3)
     if "illumination_rgb" in values:
-        found = found + values["illumination_rgb"].double()
-    return found / ILLUMINATION_MEAN
+        intensity = intensity + values["illumination_rgb"].double()
+    return intensity / ILLUMINATION_MEAN
 
 
 def map_image(intensity: Tensor) -> Tensor:
@@ -219,19 +219,19 @@ WORDS = {
     "illumination": ("environment map", "its texels changed by"),
     "illumination_rgb": ("environment map", "its texels changed by"),
 }
-"""What each group changes, and the verb for its change."""
+"""The thing that each group changes, and the verb for its change."""
 
 
 def worded(scene: ResolvedScene, renderer: Renderer, perturbation: Mapping[str, Tensor]) -> list[Change]:
     """A perturbation of the renderer's initial values in words, by group and by channel of the map or object.
 
-    The images of the map are with the first change of it.
+    The images of the map are listed with its first change.
     """
     initial = renderer.initial()
     measured: dict[tuple[str, str], list[PhysicalChange]] = {}
-    for one in changes(scene, renderer, {group: perturbation[group] for group in WORDS if group in perturbation}):
-        measured.setdefault((one.group, one.subject), []).append(one)
-    found: list[Change] = []
+    for change in changes(scene, renderer, {group: perturbation[group] for group in WORDS if group in perturbation}):
+        measured.setdefault((change.group, change.subject), []).append(change)
+    result: list[Change] = []
     for (group, subject), (typical, largest) in measured.items():
         of, verb = WORDS[group]
         name = of if subject in ("surface", "map") else f"{of}, {subject.removeprefix('map, ')}"
@@ -239,15 +239,17 @@ def worded(scene: ResolvedScene, renderer: Renderer, perturbation: Mapping[str, 
             sizes = f"{number(typical.value)}° in the root mean square, {number(largest.value)}° at most"
         else:
             sizes = f"{number(typical.value)} {typical.unit} in the root mean square, {signed(largest.value)} % at most"
-        values = [_value(one, name) for one in (typical, largest)]
+        values = [_value(change, name) for change in (typical, largest)]
         shown = (
-            [] if any(of == one.subject.partition(",")[0] for one in found) else images_of(of, initial, perturbation)
+            []
+            if any(of == earlier.subject.partition(",")[0] for earlier in result)
+            else images_of(of, initial, perturbation)
         )
-        found.append(Change(group=group, subject=name, sentence=f"{verb} {sizes}", values=values, images=shown))
+        result.append(Change(group=group, subject=name, sentence=f"{verb} {sizes}", values=values, images=shown))
     if "material" in perturbation:
         names = object_names(scene.description, scene.titles)
-        found += map(material, names, initial["material"], perturbation["material"])
-    return found
+        result += map(material, names, initial["material"], perturbation["material"])
+    return result
 
 
 def material(thing: str, initial: Tensor, change: Tensor) -> Change:
@@ -258,10 +260,10 @@ def material(thing: str, initial: Tensor, change: Tensor) -> Change:
         group="material",
         subject=name,
         sentence=f"its lobes' κ changed by {signed(kappa.value)} % at most, their γ by {signed(gamma.value)} %",
-        values=[_value(one, f"{name}, {symbol}") for one, symbol in ((kappa, "κ"), (gamma, "γ"))],
+        values=[_value(lobe_change, f"{name}, {symbol}") for lobe_change, symbol in ((kappa, "κ"), (gamma, "γ"))],
         curves=lobe_curves(initial, change),
     )
 
 
-def _value(one: PhysicalChange, name: str) -> ChangedValue:
-    return ChangedValue(name=f"{name}, {one.measure}", unit=one.unit, before=0.0, after=one.value)
+def _value(change: PhysicalChange, name: str) -> ChangedValue:
+    return ChangedValue(name=f"{name}, {change.measure}", unit=change.unit, before=0.0, after=change.value)
