@@ -24,8 +24,8 @@ def fill_by_name(network: "nn.Module", state: Mapping[str, "Tensor"]) -> None:
         raise ValueError("; ".join([*_listed("it lacks", missing), *_listed("it has too many", unexpected)]))
     for name, value in own.items():
         if name in state and state[name].shape != value.shape:
-            found, wanted = list(state[name].shape), list(value.shape)
-            raise ValueError(f"{name} has the shape {found}; {wanted} is due")
+            shape, expected = list(state[name].shape), list(value.shape)
+            raise ValueError(f"{name} has the shape {shape}; {expected} is due")
     network.load_state_dict(dict(state), strict=False)
 
 

@@ -21,8 +21,7 @@ def fetch(file: Published, folder: Path) -> Path:
     """Returns the path of the file in `folder`, downloaded if it is not there yet.
 
     Of several processes one downloads and the others wait. Raises InvalidRequest("target.name"), which says where to
-    put the file, if it cannot be fetched or
-    is not the published one.
+    put the file, if it cannot be fetched or is not the published one.
     """
     path = folder / file.name
     folder.mkdir(parents=True, exist_ok=True)
@@ -80,7 +79,7 @@ def _download(file: Published, path: Path) -> None:
 
 
 def _continued(url: str, part: Path) -> bool:
-    """Downloads what `part` lacks; returns whether it is complete. Raises httpx.HTTPError."""
+    """Downloads the missing rest of the file `part`; returns whether it is complete. Raises httpx.HTTPError."""
     import httpx
 
     have = part.stat().st_size if part.exists() else 0

@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 
 @cache
 def facts(name: str) -> dict[str, Any]:
-    """Returns what was written beside a network's weights: labels, input, how it was trained, held-out accuracy."""
-    found: dict[str, Any] = json.loads(_path(name, "json").read_text("utf-8"))
-    return found
+    """Returns the record that lies beside a network's weights: labels, input, training, held-out accuracy."""
+    content: dict[str, Any] = json.loads(_path(name, "json").read_text("utf-8"))
+    return content
 
 
 def labels(name: str) -> tuple[str, ...]:
@@ -32,17 +32,17 @@ def labels(name: str) -> tuple[str, ...]:
 
 def card(name: str, title: str) -> TargetInfo:
     """Returns a network's card."""
-    found = facts(name)
-    height, width = found["input_size"]
+    recorded = facts(name)
+    height, width = recorded["input_size"]
     return TargetInfo(
         name=name,
-        title=f"{title}, {len(found['labels'])} kinds of furniture",
+        title=f"{title}, {len(recorded['labels'])} kinds of furniture",
         task="classification",
         input_size=(height, width),
-        classes=len(found["labels"]),
+        classes=len(recorded["labels"]),
         differentiable=True,
         takes_question=False,
-        source=f"trained by this project: {found['command']}",
+        source=f"trained by this project: {recorded['command']}",
         licence="Apache-2.0",
         vocabulary="furniture-14",
     )
@@ -53,15 +53,15 @@ def load(info: TargetInfo, network: nn.Module, dtype: torch.dtype) -> Target:
     from services.targets.classifier import Classifier
     from services.targets.weights_file import load_in_factors
 
-    path, found = _path(info.name, "safetensors"), facts(info.name)
+    path, recorded = _path(info.name, "safetensors"), facts(info.name)
     load_in_factors(network, path)
     return Classifier(
         name=info.name,
         network=network,
         labels=labels(info.name),
         input_size=info.input_size,
-        mean=tuple(found["mean"]),
-        scale=tuple(found["scale"]),
+        mean=tuple(recorded["mean"]),
+        scale=tuple(recorded["scale"]),
         weights_sha256=hashlib.sha256(path.read_bytes()).hexdigest(),
         dtype=dtype,
     )

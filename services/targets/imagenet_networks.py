@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 ADDRESS = "https://download.pytorch.org/models/"
 ALEXNET_FILE, RESNET34_FILE = "alexnet-owt-7be5be79.pth", "resnet34-b627a593.pth"
-"""Their names end in the first digits of their SHA-256."""
+"""Names of the weights files; they end in the first digits of the files' SHA-256."""
 MEAN, SCALE = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 """torchvision's normalisation."""
 

@@ -43,7 +43,7 @@ class TargetInfo(BaseModel):
     example: str | None = None
     """A question that it takes, with which it is tried when it is loaded; None: any text."""
     missing: str | None = None
-    """What is not on this machine without which it cannot be loaded, and how to get it; None: nothing."""
+    """Message that the weights file is not on this machine yet, and how to get it; None if nothing is missing."""
     card_sha256: str | None = None
     """SHA-256 (hex) of the bytes of `card.json`, for a network that a user brings."""
 
@@ -66,11 +66,11 @@ class Published:
 
     @property
     def path(self) -> Path:
-        """Where it is on this machine, once it was fetched."""
+        """Path of the file on this machine, once it has been fetched."""
         return options().cache / "weights" / self.name
 
     def missing(self) -> str | None:
-        """Says that it is not there, and how to get it; None if it is there."""
+        """Returns a message that the file is missing, and how to get it; None if it is there."""
         if self.path.exists():
             return None
         return f"its weights are not here yet; the first job fetches {self.url} into weights/ of SCENE_ATTACK_CACHE"
@@ -89,7 +89,7 @@ class RegisteredTarget:
     load: Load
     weights: Published | None = None
     card_files: tuple[Path, ...] = ()
-    """Of a network that a user brings: its card, then the file of its labels if it has one."""
+    """Files of a network that a user brings: its card, then the file of its labels if it has one."""
     model_file: Path | None = None
     """Its model file; None for a factory, an endpoint, and a network that somebody else brings."""
 
@@ -131,7 +131,7 @@ def known(name: str) -> RegisteredTarget:
 
 
 def available() -> list[TargetInfo]:
-    """Returns the cards of all targets, each with what is missing on this machine."""
+    """Returns the cards of all targets, each with `missing` as it is on this machine."""
     return [
         target.info.model_copy(update={"missing": None if target.weights is None else target.weights.missing()})
         for target in TARGETS.values()

@@ -1,9 +1,9 @@
-"""The labels of targets: listed and checked without loading the network, and which of them are right for a mesh.
+"""The labels of targets: lists and checks them without loading the network, and finds those that are right for a mesh.
 
 `imagenet_truth.json` was reviewed by hand, model by model: the ImageNet labels that a person would accept for a kind of
 furniture ("kinds") or, where the kind is too coarse, for one mesh ("meshes", which goes before its kind). A model in
-doubt has none. "same" lists the groups of ImageNet labels between which no picture decides. It needs no torch, unless
-an extension does.
+doubt has none. "same" lists the groups of ImageNet labels between which no image decides. It needs no torch, unless an
+extension does.
 """
 
 import json
@@ -34,22 +34,24 @@ def labels(name: str, known: RegisteredTarget) -> tuple[str, ...]:
     Raises InvalidRequest("target.name") if they cannot be listed, are no text that can be printed, or are not unique.
     """
     try:
-        found = tuple(known.labels())
+        names = tuple(known.labels())
     except (Exception, SystemExit) as error:
         raise refused(name, f"cannot list its labels: {in_words(name, error)}") from error
-    for label in found:
+    for label in names:
         if not isinstance(label, str) or not label or printable(label) != label:
             raise refused(name, f"has the label {label!r:.80}, which is no text to be shown")
         if len(label) > LONGEST_LABEL:
             raise refused(name, f"has the label {label!r:.80}… of {len(label):,} characters; {LONGEST_LABEL} are most")
-    for label, times in Counter(found).items():
+    for label, times in Counter(names).items():
         if times > 1:
             raise refused(name, f"has the label {label!r} more than once; labels are unique")
-    return found
+    return names
 
 
 def in_words(name: str, error: BaseException) -> str:
-    """The error in words. Raises JobFailure("out-of-memory") if memory has run out: other jobs may have taken it."""
+    """Returns the error in words. Raises JobFailure("out-of-memory") if memory has run out: other jobs may have taken
+    it.
+    """
     if isinstance(error, InvalidRequest):
         raise error
     if out_of_memory(error):
@@ -59,7 +61,7 @@ def in_words(name: str, error: BaseException) -> str:
 
 
 def refused(name: str, why: str) -> InvalidRequest:
-    """The error of a target that cannot be used."""
+    """Returns the error of a target that cannot be used."""
     return InvalidRequest("target.name", f"target {name!r} {why}")
 
 
@@ -79,7 +81,7 @@ def imagenet_table() -> Table:
 
 
 def truth_labels(target: TargetInfo, mesh: str) -> tuple[str, ...]:
-    """Returns the target's labels that are right for a mesh ("furniture/couch"); empty if nobody has said them.
+    """Returns the target's labels that are right for a mesh ("furniture/couch"); empty if none have been reviewed.
 
     For a vocabulary of kinds it is the mesh's kind, which need not be among the target's labels.
     """

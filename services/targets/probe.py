@@ -30,10 +30,10 @@ def load(name: str, known: RegisteredTarget, dtype: torch.dtype) -> Target:
     listed = labels(name, known)
     try:
         target = known.load(dtype)
-        found = tuple(getattr(target, "labels", ()))
+        loaded = tuple(getattr(target, "labels", ()))
     except (Exception, SystemExit) as error:
         raise refused(name, f"cannot be loaded: {in_words(name, error)}") from error
-    _check_labels(name, known, found, listed)
+    _check_labels(name, known, loaded, listed)
     height, width = known.info.input_size
     if tuple(target.input_size) != (height, width):
         size = "×".join(map(str, target.input_size))
@@ -69,13 +69,13 @@ def _asked(target: Target, example: str | None) -> Target:
 
 
 def _images(target: Target) -> Tensor:
-    """Two images of random pixels in the size of the target's input, float32 [2, H, W, 3]."""
+    """Returns two images of random pixels in the size of the target's input, float32 [2, H, W, 3]."""
     return torch.rand((2, *target.input_size, 3), generator=torch.Generator().manual_seed(0))
 
 
-def _check_labels(name: str, known: RegisteredTarget, found: Sequence[str], listed: Sequence[str]) -> None:
-    if tuple(found) != tuple(listed):
-        raise refused(name, f"has {len(found)} labels once it is loaded; they are not the {len(listed)} of its card")
+def _check_labels(name: str, known: RegisteredTarget, loaded: Sequence[str], listed: Sequence[str]) -> None:
+    if tuple(loaded) != tuple(listed):
+        raise refused(name, f"has {len(loaded)} labels once it is loaded; they are not the {len(listed)} of its card")
     if known.info.classes != len(listed):
         raise refused(name, f"has {len(listed)} labels, but its card says {known.info.classes} classes")
 
@@ -93,9 +93,9 @@ def _scores(name: str, target: Target, images: Tensor) -> Tensor:
 def _check_scores(name: str, scores: Tensor, labels: Sequence[str]) -> None:
     shape = (2, len(labels))
     if not isinstance(scores, Tensor) or scores.shape != shape or not scores.is_floating_point():
-        found = f"{scores.dtype} {list(scores.shape)}" if isinstance(scores, Tensor) else type(scores).__name__
+        returned = f"{scores.dtype} {list(scores.shape)}" if isinstance(scores, Tensor) else type(scores).__name__
         raise refused(
-            name, f"returns {found} for 2 images; floating-point {list(shape)} is due, one score for each label"
+            name, f"returns {returned} for 2 images; floating-point {list(shape)} is due, one score for each label"
         )
     if not finite(scores):
         raise refused(name, "returns scores that are not finite")

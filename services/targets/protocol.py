@@ -79,11 +79,13 @@ class ProgramTarget(QuestionTarget, Protocol):
         ...
 
     def answers(self, images: Tensor, questions: Sequence[str]) -> Tensor:
-        """Returns the scores [B, Q, K] of each question to each of the images [B, H, W, 3], as `asked` has of one."""
+        """Returns the scores [B, Q, K] of each question to each of the images [B, H, W, 3]; `asked` serves a single
+        question.
+        """
         ...
 
     def attention(self, images: Tensor, question: str) -> list[Tensor | None]:
-        """Returns for each function of the question's program what it attends to in images [B, H, W, 3] in [0,1].
+        """Returns the attention masks of the functions of the question's program in images [B, H, W, 3] in [0,1].
 
         Masks [B, h, w] in [0,1], float32 on the CPU; None for a function whose result has no place in the image.
         """

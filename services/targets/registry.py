@@ -30,7 +30,7 @@ def card(name: str) -> TargetInfo:
 
 @lru_cache(maxsize=4)
 def load(name: str, dtype: torch.dtype = torch.float32) -> Target:
-    """The target, with its weights.
+    """Returns the target, with its weights.
 
     Raises InvalidRequest("target.name") for an unknown one, and for one that breaks its protocol (`probe.load`).
     """
@@ -47,8 +47,8 @@ def has_gradient(name: str) -> bool:
 
 def no_gradient(name: str) -> str:
     """Returns the reason for which a target without gradients has none."""
-    found = getattr(load(name), "scores_only", None)
-    return found or "they are constant, detached or computed without torch"
+    reason = getattr(load(name), "scores_only", None)
+    return reason or "they are constant, detached or computed without torch"
 
 
 @contextmanager

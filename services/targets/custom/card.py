@@ -38,9 +38,10 @@ class Preprocessing(BaseModel):
 
 
 class Card(BaseModel):
-    """What a model file does not say: the labels of the scores, how an image becomes the input, and where it is from.
+    """The facts that a model file does not contain: the labels of the scores, the preprocessing of an image, and the
+    source.
 
-    Exactly one of a model file in the folder, `factory` and `endpoint` says what computes the scores.
+    Scores are computed by exactly one of a model file in the folder, `factory` and `endpoint`.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -109,8 +110,8 @@ class AllowList:
     def resolve(self, host: str, port: int) -> str:
         """Returns an IP address of the host of a URL that may be connected to.
 
-        An address that is not public is allowed if the URL names it itself, or the list does. Connect to what is
-        returned, not to the name: another look-up may give another address. Raises OSError if there is none.
+        An address that is not public is allowed if the URL names it itself, or the list does. Connect to the returned
+        address, not to the name: another look-up may give another address. Raises OSError if there is none.
         """
         for *_, place in socket.getaddrinfo(host, port, type=socket.SOCK_STREAM):
             if self._allowed(host, read(str(place[0]))):

@@ -23,9 +23,9 @@ from services.targets.custom.card import AllowList
 from services.targets.custom.graph import Unreadable
 
 MOST_IMAGES = 32
-"""Images of a request."""
+"""Maximum number of images of a request."""
 MOST_SCORE_BYTES = 64
-"""Bytes of a score in an answer: a number as JSON, with what is around it."""
+"""Maximum number of bytes of a score in an answer: a number as JSON, with the characters around it."""
 _OTHER_BYTES = 2**16
 _CONNECT_SECONDS, _READ_SECONDS = 5.0, 30.0
 _AGAIN = (429, 502, 503, 504)
@@ -46,7 +46,7 @@ class Endpoint:
     probabilities: bool
     """Whether it returns probabilities, of which the logarithm is taken."""
     weights_sha256: str
-    """SHA-256 (hex) of its card: what it computes cannot be seen."""
+    """SHA-256 (hex) of its card, since the network itself cannot be seen."""
     allowed: AllowList
     """The operator's lists, which the URL and the addresses of its host are checked against."""
     waits: tuple[float, ...] = (0.5, 2.0)
@@ -76,8 +76,8 @@ class Endpoint:
     def logits(self, images: Tensor) -> Tensor:
         """Returns scores [B, K] of images [B, H, W, 3] in [0,1], which are resized and rounded to 8 bits.
 
-        Raises JobFailure("target-unreachable") if it does not answer, and JobFailure("internal") for an answer that is
-        none of the protocol.
+        Raises JobFailure("target-unreachable") if it does not answer, and JobFailure("internal") for an answer that
+        breaks the protocol.
         """
         x = images.detach().to("cpu", torch.float32).permute(0, 3, 1, 2)
         if tuple(x.shape[-2:]) != self.input_size:
@@ -131,7 +131,7 @@ class Endpoint:
             return b"".join(self._portions(response, most))
 
     def _keep_socket(self, event: str, info: dict[str, Any]) -> None:
-        """Keeps the socket of a new connection, of which httpcore tells."""
+        """Keeps the socket of a new connection, which httpcore reports."""
         if event in ("connection.connect_tcp.complete", "connection.start_tls.complete"):
             self._socket = info["return_value"].get_extra_info("socket")
 
@@ -169,13 +169,13 @@ class Endpoint:
 
     def _scores(self, data: bytes, count: int) -> Tensor:
         try:
-            given: Any = json.loads(data)["scores"]
-            scores = torch.tensor(given, dtype=torch.float32)
+            rows: Any = json.loads(data)["scores"]
+            scores = torch.tensor(rows, dtype=torch.float32)
         except (ValueError, KeyError, TypeError, RecursionError) as error:
             raise self._broken('no JSON {"scores": [[…], …]} of numbers') from error
         if scores.shape != (count, len(self.labels)):
-            wanted = f"{count} lists of {len(self.labels)}"
-            raise self._broken(f"scores of shape {list(scores.shape)} for {count} images; {wanted} are due")
+            expected = f"{count} lists of {len(self.labels)}"
+            raise self._broken(f"scores of shape {list(scores.shape)} for {count} images; {expected} are due")
         return scores
 
     def _broken(self, what: str) -> JobFailure:

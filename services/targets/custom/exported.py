@@ -70,10 +70,10 @@ _SHAPES: dict[str, Callable[..., Any]] = {
 
 
 def read(path: Path, size: tuple[int, int]) -> nn.Module:
-    """Returns the network of a .pt2 file: inputs [B, 3, *size] to what the program returns.
+    """Returns the network of a .pt2 file: inputs [B, 3, *size] to the program's output.
 
-    Raises Unreadable for what is no such program, needs unpickling, holds compiled code, or uses an operator that is
-    not allowed. A program that was exported for a fixed number of images is run in portions of that number.
+    Raises Unreadable for a file that is no such program, needs unpickling, holds compiled code, or uses an operator
+    that is not allowed. A program that was exported for a fixed number of images is run in portions of that number.
     """
     try:
         with zipfile.ZipFile(path) as archive:
@@ -90,38 +90,38 @@ def read(path: Path, size: tuple[int, int]) -> nn.Module:
 
 def _members(archive: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]:
     """The archive's members by name, without the folder that all are in."""
-    found = {info.filename.partition("/")[2]: info for info in archive.infolist()}
-    if any(info.compress_type != zipfile.ZIP_STORED for info in found.values()):
+    members = {info.filename.partition("/")[2]: info for info in archive.infolist()}
+    if any(info.compress_type != zipfile.ZIP_STORED for info in members.values()):
         raise Unreadable("its members are compressed, which torch.export.save never does")
-    if sum(info.file_size for info in found.values()) > MAX_BYTES:
+    if sum(info.file_size for info in members.values()) > MAX_BYTES:
         raise Unreadable(f"it is larger than {MAX_BYTES // 2**30} GiB")
-    if "archive_format" not in found or archive.read(found["archive_format"]) != b"pt2":
+    if "archive_format" not in members or archive.read(members["archive_format"]) != b"pt2":
         raise Unreadable(
             "it was not written by torch.export.save (torch 2.8 or newer); "
             "neither TorchScript nor what torch.save wrote is read"
         )
-    if any(name.startswith("data/aotinductor/") for name in found):
+    if any(name.startswith("data/aotinductor/") for name in members):
         raise Unreadable("it holds compiled machine code, which is never loaded; save the exported program instead")
-    return found
+    return members
 
 
 def _document(archive: zipfile.ZipFile, members: Mapping[str, zipfile.ZipInfo], name: str) -> dict[str, Any]:
     if name not in members:
         raise Unreadable(f"it has no {name}; write it with torch.export.save")
-    found: dict[str, Any] = json.loads(archive.read(members[name]))
-    return found
+    document: dict[str, Any] = json.loads(archive.read(members[name]))
+    return document
 
 
 def _tensors(
     archive: zipfile.ZipFile, members: Mapping[str, zipfile.ZipInfo], kind: str, prefix: str
 ) -> dict[str, Tensor]:
-    found: dict[str, Tensor] = {}
+    tensors: dict[str, Tensor] = {}
     for name, meta in _document(archive, members, f"data/{kind}/model_{kind}_config.json")["config"].items():
         file = meta["path_name"]
         if meta["use_pickle"] or not file.startswith(prefix):
             raise Unreadable(f"its tensor {name!r:.80} is stored as a pickle, which can run any code and is never read")
-        found[name] = _tensor(archive.read(members[f"data/{kind}/{file}"]), meta["tensor_meta"])
-    return found
+        tensors[name] = _tensor(archive.read(members[f"data/{kind}/{file}"]), meta["tensor_meta"])
+    return tensors
 
 
 def _tensor(data: bytes, meta: Mapping[str, Any]) -> Tensor:
@@ -162,11 +162,11 @@ def _network(program: Mapping[str, Any], weights: Mapping[str, Tensor], size: tu
 
 def _inputs(specs: list[dict[str, Any]], weights: Mapping[str, Tensor]) -> tuple[dict[str, Tensor], str]:
     """The weights by their names in the graph, and the name of the input."""
-    bound, given = {}, []
+    bound, inputs = {}, []
     for spec in specs:
         ((kind, about),) = spec.items()
         if kind == "user_input":
-            given.append(about["arg"])
+            inputs.append(about["arg"])
         elif kind in ("parameter", "buffer", "tensor_constant"):
             name = about[f"{kind}_name"]
             if name not in weights:
@@ -174,9 +174,9 @@ def _inputs(specs: list[dict[str, Any]], weights: Mapping[str, Tensor]) -> tuple
             bound[about["arg"]["name"]] = weights[name]
         else:
             raise Unreadable(f"its input {kind!r:.40} is not supported; the program takes images alone")
-    if len(given) != 1 or "as_tensor" not in given[0]:
-        raise Unreadable(f"it has {len(given)} inputs; one is due, images [B, 3, height, width]")
-    return bound, given[0]["as_tensor"]["name"]
+    if len(inputs) != 1 or "as_tensor" not in inputs[0]:
+        raise Unreadable(f"it has {len(inputs)} inputs; one is due, images [B, 3, height, width]")
+    return bound, inputs[0]["as_tensor"]["name"]
 
 
 def _result(specs: list[dict[str, Any]]) -> str:
@@ -190,8 +190,10 @@ def _result(specs: list[dict[str, Any]]) -> str:
 def _step(index: int, node: Mapping[str, Any], weights: Mapping[str, Tensor]) -> Step:
     target = node["target"]
     run = operator_of(target)
-    inputs = [_argument(one["arg"]) for one in node["inputs"] if one["kind"] == _POSITIONAL]
-    keywords = {one["name"]: _argument(one["arg"]) for one in node["inputs"] if one["kind"] == _KEYWORD}
+    inputs = [_argument(argument["arg"]) for argument in node["inputs"] if argument["kind"] == _POSITIONAL]
+    keywords = {
+        argument["name"]: _argument(argument["arg"]) for argument in node["inputs"] if argument["kind"] == _KEYWORD
+    }
     if len(inputs) + len(keywords) != len(node["inputs"]):
         raise Unreadable("it was exported by an old version of torch; export it with torch 2.8 or newer")
     first = inputs[0] if inputs else None
@@ -200,12 +202,12 @@ def _step(index: int, node: Mapping[str, Any], weights: Mapping[str, Tensor]) ->
     return Step(f"node {index} ({target})", run, tuple(inputs), tuple(_outputs(node["outputs"])), keywords)
 
 
-def _outputs(given: list[dict[str, Any]]) -> list[str]:
+def _outputs(arguments: list[dict[str, Any]]) -> list[str]:
     names: list[str] = []
-    for output in given:
+    for output in arguments:
         ((kind, value),) = output.items()
         if kind == "as_tensors":
-            names += [one["name"] for one in value]
+            names += [tensor["name"] for tensor in value]
             # a list of one tensor is a list too
             names += [""] if len(value) == 1 else []
         else:
@@ -213,9 +215,9 @@ def _outputs(given: list[dict[str, Any]]) -> list[str]:
     return names
 
 
-def _argument(given: Mapping[str, Any]) -> Any:
+def _argument(argument: Mapping[str, Any]) -> Any:
     """The value of an argument in the schema's form, a dictionary with one key that says its kind."""
-    ((kind, value),) = given.items()
+    ((kind, value),) = argument.items()
     if kind in _PLAIN:
         return value
     if kind == "as_none":
@@ -223,11 +225,11 @@ def _argument(given: Mapping[str, Any]) -> Any:
     if kind == "as_float":
         return float(value)  # infinities are written as strings
     if kind == "as_floats":
-        return [float(one) for one in value]
+        return [float(element) for element in value]
     if kind in ("as_tensor", "as_sym_int", "as_sym_float", "as_sym_bool", "as_optional_tensor"):
         return _named(value)
     if kind in ("as_tensors", "as_sym_ints", "as_optional_tensors"):
-        return [_named(one) for one in value]
+        return [_named(element) for element in value]
     if kind == "as_scalar_type":
         return _dtype(value)
     if kind == "as_memory_format" and value in _FORMATS:
@@ -262,8 +264,8 @@ def operator_of(target: str) -> Callable[..., Any]:
     if len(parts) == 5 and parts[:3] == ["torch", "ops", "aten"] and parts[3] in _ATEN and "out" not in parts[4]:
         packet = getattr(torch.ops.aten, parts[3], None)
         if packet is not None and parts[4] in packet.overloads():
-            found: Callable[..., Any] = getattr(packet, parts[4])
-            return found
+            overload: Callable[..., Any] = getattr(packet, parts[4])
+            return overload
     raise Unreadable(f"it uses the operator {target!r:.120}, which is not among those that a .pt2 program may use here")
 
 

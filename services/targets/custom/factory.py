@@ -47,10 +47,10 @@ class MaiteNetwork(nn.Module):
         image = torch.full((1, 3, *size), 0.5, requires_grad=True)
         try:
             with torch.enable_grad():
-                found = self._answers(image)
+                scores = self._answers(image)
         except Exception as error:  # numpy refuses tensors that need gradients, among others
             return f"it fails on images that need gradients: {summary(error)}"
-        return None if found.requires_grad else "what it returns is not computed by torch from the images"
+        return None if scores.requires_grad else "what it returns is not computed by torch from the images"
 
     def forward(self, x: Tensor) -> Tensor:
         """Maps inputs [B, C, H, W] to [B, K]."""
@@ -58,26 +58,26 @@ class MaiteNetwork(nn.Module):
         return self._answers(images if self.scores_only is None else images.detach()).to(x.device)
 
     def _answers(self, images: Tensor) -> Tensor:
-        return torch.stack([torch.as_tensor(one, dtype=torch.float32) for one in self._model(list(images))])
+        return torch.stack([torch.as_tensor(scores, dtype=torch.float32) for scores in self._model(list(images))])
 
 
-def is_maite(made: object) -> bool:
+def is_maite(model: object) -> bool:
     """Whether an object is a MAITE model: it can be called, and has metadata with an id."""
-    metadata = getattr(made, "metadata", None)
-    return callable(made) and isinstance(metadata, dict) and "id" in metadata
+    metadata = getattr(model, "metadata", None)
+    return callable(model) and isinstance(metadata, dict) and "id" in metadata
 
 
-def check_labels(made: Any, labels: Sequence[str]) -> None:
+def check_labels(model: Any, labels: Sequence[str]) -> None:
     """Raises Unreadable if a MAITE model's own labels (`index2label`) are not those of the card."""
-    own = made.metadata.get("index2label")
+    own = model.metadata.get("index2label")
     if own is not None and [own.get(index) for index in range(len(own))] != list(labels):
         raise Unreadable(f"its metadata.index2label has {len(own)} labels, which are not the {len(labels)} of the card")
 
 
-def digest(made: Any) -> str:
+def digest(model: Any) -> str:
     """Returns the SHA-256 (hex) of a module's weights, or of the modules among an object's attributes and its id."""
-    total = hashlib.sha256(str(getattr(made, "metadata", "")).encode())
-    parts = [made] if isinstance(made, nn.Module) else [one for _, one in sorted(vars(made).items())]
+    total = hashlib.sha256(str(getattr(model, "metadata", "")).encode())
+    parts = [model] if isinstance(model, nn.Module) else [value for _, value in sorted(vars(model).items())]
     for part in parts:
         if isinstance(part, nn.Module):
             for name, value in part.state_dict().items():

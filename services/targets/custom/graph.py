@@ -39,7 +39,9 @@ class GraphNetwork(nn.Module):
     """A frozen network of steps. It maps its one input to its one output, both tensors."""
 
     def __init__(self, source: str, result: str, steps: Sequence[Step], weights: Mapping[str, Tensor]) -> None:
-        """`source` and `result` name input and output. Raises Unreadable if a step refers to what no step makes."""
+        """`source` and `result` name input and output. Raises Unreadable if a step refers to a value that no step
+        makes.
+        """
         super().__init__()
         self._source, self._result, self._steps = source, result, tuple(steps)
         self._buffer = {name: f"weight_{index}" for index, name in enumerate(weights)}
@@ -60,11 +62,11 @@ class GraphNetwork(nn.Module):
         if self._result not in known:
             raise Unreadable(f"nothing makes its output {self._result!r:.80}")
         last.pop(self._result, None)
-        found: dict[int, list[str]] = {}
+        unused: dict[int, list[str]] = {}
         for name, index in last.items():
             if name not in self._buffer:
-                found.setdefault(index, []).append(name)
-        return found
+                unused.setdefault(index, []).append(name)
+        return unused
 
     def forward(self, x: Tensor) -> Tensor:
         """Returns the output of the input x. Raises RuntimeError, naming the step, for a step that fails."""
@@ -74,13 +76,13 @@ class GraphNetwork(nn.Module):
             inputs = _resolved(step.inputs, values, x.device)
             keywords = {name: _resolved(value, values, x.device) for name, value in step.keywords.items()}
             try:
-                made = step.run(*inputs, **keywords)
+                output = step.run(*inputs, **keywords)
             except (RuntimeError, TypeError, ValueError, IndexError) as error:
                 raise RuntimeError(f"{step.label}: {error}") from error
             if len(step.outputs) == 1:
-                values[step.outputs[0]] = made
+                values[step.outputs[0]] = output
             else:
-                values.update(zip(step.outputs, made, strict=False))
+                values.update(zip(step.outputs, output, strict=False))
             for name in self._last.get(index, ()):
                 values.pop(name, None)
         result: Tensor = values[self._result]
@@ -91,8 +93,8 @@ def _names(of: Any) -> Iterator[str]:
     if isinstance(of, Value):
         yield of.name
     elif isinstance(of, tuple | list):
-        for one in of:
-            yield from _names(one)
+        for item in of:
+            yield from _names(item)
 
 
 def _resolved(of: Any, values: Mapping[str, Any], device: torch.device) -> Any:
@@ -101,7 +103,7 @@ def _resolved(of: Any, values: Mapping[str, Any], device: torch.device) -> Any:
     if isinstance(of, InputDevice):
         return device
     if isinstance(of, tuple | list):
-        return type(of)(_resolved(one, values, device) for one in of)
+        return type(of)(_resolved(item, values, device) for item in of)
     return of
 
 
@@ -117,12 +119,12 @@ class FixedBatch(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """Maps inputs [B, ...] to outputs [B, ...]."""
-        found = []
+        outputs = []
         for portion in x.split(self.count):  # type: ignore[no-untyped-call]
             missing = self.count - len(portion)
             full = torch.cat([portion, portion[-1:].expand(missing, *portion.shape[1:])]) if missing else portion
-            found.append(self.network(full)[: len(portion)])
-        return torch.cat(found)
+            outputs.append(self.network(full)[: len(portion)])
+        return torch.cat(outputs)
 
 
 def check_input(shape: Sequence[int | None], size: tuple[int, int]) -> int | None:
@@ -133,7 +135,7 @@ def check_input(shape: Sequence[int | None], size: tuple[int, int]) -> int | Non
     shown = " × ".join("any" if length is None else str(length) for length in shape)
     if len(shape) != 4 or shape[1] not in (None, 3):
         raise Unreadable(f"its input is {shown}; images [B, 3, height, width] are due")
-    if any(found not in (None, wanted) for found, wanted in zip(shape[2:], size, strict=True)):
+    if any(length not in (None, expected) for length, expected in zip(shape[2:], size, strict=True)):
         raise Unreadable(
             f"its input is {shown}, but the card's preprocessing.input_size is {size[0]}×{size[1]} (height × width)"
         )

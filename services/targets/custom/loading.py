@@ -1,4 +1,4 @@
-"""Loads a network that a user brings: by its card and what its folder holds, or from the caller of the same process,
+"""Loads a network that a user brings: by its card and the files in its folder, or from the caller of the same process,
 who passes a torch module or a function.
 """
 
@@ -41,8 +41,8 @@ class LogProbabilities(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """Maps inputs to scores [B, K]. A probability of 0 counts as the smallest normal float."""
-        found: Tensor = self.network(x)
-        return found.clamp_min(torch.finfo(torch.float32).tiny).log()
+        probabilities: Tensor = self.network(x)
+        return probabilities.clamp_min(torch.finfo(torch.float32).tiny).log()
 
 
 def classifier(
@@ -108,20 +108,20 @@ def _load(
     scores_only: str | None = None
     if file is None:
         assert card.factory is not None
-        made = factory.make(card.factory, allowed)
-        digest = factory.digest(made)
-        if factory.is_maite(made):
-            factory.check_labels(made, labels)
-            maite = factory.MaiteNetwork(made, size)
+        model = factory.make(card.factory, allowed)
+        digest = factory.digest(model)
+        if factory.is_maite(model):
+            factory.check_labels(model, labels)
+            maite = factory.MaiteNetwork(model, size)
             network: nn.Module = maite
             scores_only = maite.scores_only
-        elif isinstance(made, nn.Module):
-            network = made
-        elif hasattr(made, "logits") and hasattr(made, "labels"):
-            target: Target = made
+        elif isinstance(model, nn.Module):
+            network = model
+        elif hasattr(model, "logits") and hasattr(model, "labels"):
+            target: Target = model
             return target
         else:
-            kind = type(made).__name__
+            kind = type(model).__name__
             raise Unreadable(f"it returned a {kind}, which is no torch module, MAITE image classifier or target")
     else:
         with file.open("rb") as opened:
@@ -187,7 +187,7 @@ class ScoresOnly(nn.Module):
 def scores_of(
     name: str, function: Callable[[Tensor], Any], labels: tuple[str, ...], preprocessing: Preprocessing
 ) -> Classifier:
-    """Returns a function as a target without gradients. Its hash is that of its name: what it computes is not known."""
+    """Returns a function as a target without gradients. Its hash is of its name, as its computation is unknown."""
     where = f"{getattr(function, '__module__', '')}.{getattr(function, '__qualname__', type(function).__qualname__)}"
     digest_of_name = hashlib.sha256(where.encode()).hexdigest()
     why = "it is a function, of which scores alone are taken; pass a torch.nn.Module for gradients"
@@ -195,7 +195,7 @@ def scores_of(
 
 
 def describe(name: str, target: Target, vocabulary: Vocabulary = "custom") -> TargetInfo:
-    """Returns the card of a target that has no other. `vocabulary` says what its labels are, as a card does.
+    """Returns the card of a target that has no other. `vocabulary` is the meaning of its labels, as on a card.
 
     Its hash is that of all but the weights: labels, and of a `Classifier` the preprocessing.
     """

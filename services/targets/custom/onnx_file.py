@@ -21,8 +21,8 @@ class OnnxNetwork(nn.Module):
     def __init__(self, session: onnxruntime.InferenceSession) -> None:
         super().__init__()
         self._session = session
-        (given,), (result,) = session.get_inputs(), session.get_outputs()
-        self._input, self._output = given.name, result.name
+        (source,), (result,) = session.get_inputs(), session.get_outputs()
+        self._input, self._output = source.name, result.name
 
     def forward(self, x: Tensor) -> Tensor:
         """Maps inputs [B, 3, h, w] to scores."""
@@ -34,14 +34,15 @@ class OnnxNetwork(nn.Module):
 def read(path: Path, size: tuple[int, int]) -> nn.Module:
     """Returns the network of an .onnx file.
 
-    Raises Unreadable for what is no ONNX, refers to other files, or has other than one input and one output.
+    Raises Unreadable for a file that is no ONNX model, refers to other files, or has other than one input and one
+    output.
     """
     data = path.read_bytes()
     try:
         model = onnx.load_model_from_string(data)
     except DecodeError as error:
         raise Unreadable("it is no ONNX model") from error
-    if any(one.data_location == onnx.TensorProto.EXTERNAL for one in _tensors(model)):
+    if any(tensor.data_location == onnx.TensorProto.EXTERNAL for tensor in _tensors(model)):
         raise Unreadable("its weights are in another file; save it as one file, without external data")
     session = _session(data)
     count = _count(session, size)
@@ -55,8 +56,8 @@ def _tensors(message: Message) -> Iterator[onnx.TensorProto]:
         return
     for field, value in message.ListFields():
         if field.type == field.TYPE_MESSAGE:
-            for one in (value,) if isinstance(value, Message) else value:
-                yield from _tensors(one)
+            for item in (value,) if isinstance(value, Message) else value:
+                yield from _tensors(item)
 
 
 def _session(data: bytes) -> onnxruntime.InferenceSession:
@@ -74,14 +75,14 @@ def _session(data: bytes) -> onnxruntime.InferenceSession:
 
 def _count(session: onnxruntime.InferenceSession, size: tuple[int, int]) -> int | None:
     """The number of images that the model is fixed to, None for any number."""
-    given, results = session.get_inputs(), session.get_outputs()
-    if len(given) != 1:
-        names = ", ".join(one.name for one in given)
-        raise Unreadable(f"it has {len(given)} inputs ({names}); one is due, images [B, 3, height, width]")
+    inputs, results = session.get_inputs(), session.get_outputs()
+    if len(inputs) != 1:
+        names = ", ".join(value.name for value in inputs)
+        raise Unreadable(f"it has {len(inputs)} inputs ({names}); one is due, images [B, 3, height, width]")
     if len(results) != 1:
-        names = ", ".join(one.name for one in results)
+        names = ", ".join(value.name for value in results)
         raise Unreadable(f"it has {len(results)} outputs ({names}); one is due, scores [B, K]")
-    for one in (*given, *results):
-        if one.type != "tensor(float)":
-            raise Unreadable(f"{one.name!r} is {one.type}; tensor(float) is due, which is float32")
-    return check_input([one if isinstance(one, int) else None for one in given[0].shape], size)
+    for value in (*inputs, *results):
+        if value.type != "tensor(float)":
+            raise Unreadable(f"{value.name!r} is {value.type}; tensor(float) is due, which is float32")
+    return check_input([length if isinstance(length, int) else None for length in inputs[0].shape], size)

@@ -1,4 +1,5 @@
-"""Assembles the programs of a batch of questions into one network: which modules run together, and on which results.
+"""Assembles the programs of a batch of questions into one network: the modules that run together, and the results that
+they take.
 
 Nodes are put on levels counted from the roots: a root is on level 0, and an input is on a higher level than all that
 take it. A level's nodes depend on higher levels only, so all nodes of a level that are of the same kind run as one
@@ -31,13 +32,13 @@ def _modules(n_inputs: int, takes_maps: bool, gives_map: bool) -> tuple[str, ...
 
 
 MAPPING = _modules(1, takes_maps=True, gives_map=True)
-"""From a map to a map: `filter_*`, `relate`, `same_*`."""
+"""Modules from a map to a map: `filter_*`, `relate`, `same_*`."""
 JOINING = _modules(2, takes_maps=True, gives_map=True)
-"""From two maps to a map: `union`, `intersect`."""
+"""Modules from two maps to a map: `union`, `intersect`."""
 READING = _modules(1, takes_maps=True, gives_map=False)
-"""From a map to a vector: `count`, `exist`, `query_*`."""
+"""Modules from a map to a vector: `count`, `exist`, `query_*`."""
 COMPARING = _modules(2, takes_maps=False, gives_map=False)
-"""From two vectors to a vector: `equal_*`, `less_than`, `greater_than`."""
+"""Modules from two vectors to a vector: `equal_*`, `less_than`, `greater_than`."""
 
 KINDS = {"mapping": MAPPING, "joining": JOINING, "reading": READING, "comparing": COMPARING}
 PLACES = {name: (kind, place) for kind, names in KINDS.items() for place, name in enumerate(names)}
@@ -144,25 +145,25 @@ def assemble(questions: Sequence[Question]) -> Assembly:
 def _numbered(question: Question, numbers: dict[_Applied, int]) -> list[int]:
     """Returns the number of each node's call; calls that are new are added to `numbers`."""
     question.program.check()
-    found: list[int] = []
+    calls: list[int] = []
     for node in question.program.nodes:
         if node.function == "scene":
-            found.append(-1 - question.image)
+            calls.append(-1 - question.image)
         elif node.function == "unique":
-            found.append(found[node.inputs[0]])
+            calls.append(calls[node.inputs[0]])
         else:
-            applied = _Applied(node.label, question.image, tuple(found[one] for one in node.inputs))
-            found.append(numbers.setdefault(applied, len(numbers)))
-    return found
+            applied = _Applied(node.label, question.image, tuple(calls[place] for place in node.inputs))
+            calls.append(numbers.setdefault(applied, len(numbers)))
+    return calls
 
 
 def _levels(calls: Sequence[_Applied]) -> list[int]:
     """Returns the level of each call; inputs come before the calls that take them."""
     levels = [0] * len(calls)
     for number in range(len(calls) - 1, -1, -1):
-        for one in calls[number].inputs:
-            if one >= 0:
-                levels[one] = max(levels[one], levels[number] + 1)
+        for source in calls[number].inputs:
+            if source >= 0:
+                levels[source] = max(levels[source], levels[number] + 1)
     return levels
 
 

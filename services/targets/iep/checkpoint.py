@@ -23,7 +23,7 @@ from services.targets.weights_file import dequantize, quantize, read_tensors
 
 MAX_BYTES = 10_000_000
 HOW_TO_GET_WEIGHTS = "restore the project's own, or train them: python -m training iep"
-"""What to do where the weights file is missing."""
+"""Advice for the case that the weights file is missing."""
 COUNTS = "num_batches_tracked"
 """Ends the names of the buffers of batch normalisation that no checkpoint has."""
 

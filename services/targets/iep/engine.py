@@ -1,8 +1,8 @@
 """The execution engine: runs a network assembled from modules over image features, level by level; and the whole
 network θ(q), from images to the scores of the answers to questions about them.
 
-The trunk is a small convolutional network from an image to the features that the modules read. The stem is what all
-modules see of an image, and `scene`, the mask of all objects.
+The trunk is a small convolutional network from an image to the features that the modules read. The stem computes the
+features that all modules see of an image, and `scene`, the mask of all objects.
 
 The weights of all modules of a kind are one tensor, whose first axis is the module. A batch of calls of different
 modules of a kind is then one batched product with the gathered weights. A map is a mask over the P cells of an image
@@ -89,7 +89,7 @@ FIRST_MASK = -3.0
 
 
 class Seen(NamedTuple):
-    """What modules see of images.
+    """The features of images that modules see.
 
     features: [B, 66, P], image features and two coordinates. gate: [B, P] in [0,1], the weight of each cell.
     """
@@ -167,8 +167,8 @@ class FirstLayer(nn.Module):
 
         chosen: int64 [n], the modules. seen: of each call's image, or of the only one.
         """
-        looks = torch.cat([one.looks for one in inputs], dim=1)
-        places = torch.cat([one.places for one in inputs], dim=1)
+        looks = torch.cat([maps.looks for maps in inputs], dim=1)
+        places = torch.cat([maps.places for maps in inputs], dim=1)
         relative = of(self.relative, chosen)
         bias = torch.baddbmm(of(self.bias, chosen), of(self.attended, chosen), looks)
         bias = bias.baddbmm_(relative, places, alpha=-1)
@@ -177,7 +177,7 @@ class FirstLayer(nn.Module):
         coordinates = relative.view(-1, WIDTH, self.inputs, 2).sum(2) + of(self.absolute, chosen)
         x = seen.product(torch.cat([features, coordinates], dim=2))
         ones = looks.new_ones(()).expand(len(chosen), 1, x.shape[2])
-        signals = torch.cat([*(one.signals for one in inputs), ones], dim=1)
+        signals = torch.cat([*(maps.signals for maps in inputs), ones], dim=1)
         return x.baddbmm_(torch.cat([of(self.masks, chosen), bias], dim=2), signals).relu_()
 
 
@@ -203,7 +203,9 @@ class MapModules(nn.Module):
 
 
 class ReadingModules(nn.Module):
-    """Modules from a map to a vector: a first layer, summed over the set and averaged over what is attended to."""
+    """Modules from a map to a vector: a first layer, summed over the set and averaged over the cells that are attended
+    to.
+    """
 
     def __init__(self, modules: int):
         super().__init__()
@@ -231,8 +233,8 @@ class ComparingModules(nn.Module):
 
     def forward(self, chosen: Tensor, vectors: Sequence[Tensor], scores: Sequence[Tensor]) -> Tensor:
         """Returns vectors [n, 64] of two stacks of vectors [n, 64] with their scores [n, answers]."""
-        one, other = (score.softmax(1) for score in scores)
-        x = torch.cat([*vectors, one, other, one * other], dim=1)[:, :, None]
+        first, second = (score.softmax(1) for score in scores)
+        x = torch.cat([*vectors, first, second, first * second], dim=1)[:, :, None]
         x = torch.baddbmm(of(self.first_bias, chosen), of(self.first, chosen), x).relu()
         return torch.baddbmm(of(self.second_bias, chosen), of(self.second, chosen), x)[:, :, 0].relu()
 
@@ -241,10 +243,10 @@ N_CELLS = GRID[0] * GRID[1]
 
 
 class Candidates(NamedTuple):
-    """What the stem finds.
+    """The results of the stem.
 
-    scene: mask logits [B, 300] of all objects, at all cells. cells: int64 [B, P], the cells that modules work at.
-    seen: what they see there. logits: [B, P], those of `scene` there.
+    scene: mask logits [B, 300] of all objects, at all cells. cells: int64 [B, P], the cells that modules work at. seen:
+    the features there. logits: [B, P], those of `scene` there.
     """
 
     scene: Tensor
@@ -418,7 +420,7 @@ class Engine(nn.Module):
 
 
 def of_images(seen: Seen, calls: Sequence[Call]) -> Seen:
-    """Returns what is seen of the image of each call; what is seen of the only image if there is one only."""
+    """Returns the features of the image of each call; those of the only image if there is one only."""
     return seen if len(seen.gate) == 1 else Seen(*(selected(field, [call.image for call in calls]) for field in seen))
 
 

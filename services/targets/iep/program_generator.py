@@ -21,7 +21,7 @@ TOKENS = tuple(
 )
 """The functions with their values."""
 ARITIES = tuple(len(FUNCTIONS[token.partition("[")[0]].inputs) for token in TOKENS)
-"""The number of inputs of each."""
+"""The number of inputs of each token."""
 
 
 def to_prefix(program: Program) -> list[str]:
@@ -29,7 +29,7 @@ def to_prefix(program: Program) -> list[str]:
 
     def written(place: int) -> list[str]:
         node = program.nodes[place]
-        return [node.label, *(token for one in node.inputs for token in written(one))]
+        return [node.label, *(token for source in node.inputs for token in written(source))]
 
     return written(len(program.nodes) - 1)
 
@@ -96,19 +96,20 @@ class ProgramGenerator(nn.Module):
 
     @torch.no_grad()
     def generate(self, questions: Sequence[str]) -> list[Program | InvalidRequest]:
-        """Returns the program of each question, or why there is none.
+        """Returns the program of each question, or the error if there is none.
 
-        That is the InvalidRequest of `encoded`, such as UnknownWord, or InvalidProgram for what is no program.
+        The error is an InvalidRequest such as UnknownWord if the question cannot be encoded, or InvalidProgram if the
+        sequence written for it is no program.
         """
-        found: list[Program | InvalidRequest | list[int]] = [_encoded(question) for question in questions]
-        legible = [place for place, one in enumerate(found) if isinstance(one, list)]
-        written = self._write([found[place] for place in legible]) if legible else []  # type: ignore[misc]
+        results: list[Program | InvalidRequest | list[int]] = [_encoded(question) for question in questions]
+        legible = [place for place, result in enumerate(results) if isinstance(result, list)]
+        written = self._write([results[place] for place in legible]) if legible else []  # type: ignore[misc]
         for place, tokens in zip(legible, written, strict=True):
             try:
-                found[place] = from_prefix(tokens)
+                results[place] = from_prefix(tokens)
             except InvalidProgram as error:
-                found[place] = error
-        return found  # type: ignore[return-value]
+                results[place] = error
+        return results  # type: ignore[return-value]
 
     def _write(self, questions: Sequence[Sequence[int]]) -> list[list[str]]:
         """Returns the likeliest next token again and again, until each program is complete or too long."""

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from services.targets.iep.engine import Execution
 
 PROGRAMS = 1024
-"""Questions whose programs are remembered."""
+"""Number of questions whose programs are remembered."""
 
 
 @dataclass(frozen=True)
@@ -45,17 +45,17 @@ class Asked:
 
     @property
     def name(self) -> str:
-        """The network's."""
+        """The network's name."""
         return self.network.name
 
     @property
     def weights_sha256(self) -> str:
-        """The network's."""
+        """SHA-256 (hex) of the network's weights file."""
         return self.network.weights_sha256
 
     @property
     def backend(self) -> str:
-        """The network's."""
+        """The network's backend."""
         return self.network.backend
 
     def logits(self, images: Tensor) -> Tensor:
@@ -93,16 +93,16 @@ class IepTarget:
         Raises InvalidRequest("question") for words outside the language (UnknownWord, which names the first) and for a
         question in words of which no program can be made, InvalidProgram for a program that is invalid.
         """
-        given = program_in(question)
-        if given is not None:
-            return given
-        (found,) = self._generator.generate([question])
-        if isinstance(found, InvalidProgram):
-            said = f"no program can be made of it: what the generator wrote is invalid ({found.detail})"
-            raise InvalidRequest("question", f"{said}; word it as CLEVR's questions are, or give its program")
-        if isinstance(found, InvalidRequest):
-            raise found
-        return found
+        program = program_in(question)
+        if program is not None:
+            return program
+        (generated,) = self._generator.generate([question])
+        if isinstance(generated, InvalidProgram):
+            reason = f"no program can be made of it: what the generator wrote is invalid ({generated.detail})"
+            raise InvalidRequest("question", f"{reason}; word it as CLEVR's questions are, or give its program")
+        if isinstance(generated, InvalidRequest):
+            raise generated
+        return generated
 
     def asked(self, question: str) -> Asked:
         """Returns the network with this question."""
@@ -113,20 +113,20 @@ class IepTarget:
         raise ValueError(f"{self.name} needs a question")
 
     def answers(self, images: Tensor, questions: Sequence[str]) -> Tensor:
-        """Returns scores [B, Q, 28] of several questions to each image; what they share is computed once."""
+        """Returns scores [B, Q, 28] of several questions to each image; shared subprograms are computed once."""
         scores = self._run(images, questions).scores.reshape(len(images), len(questions), len(ANSWERS))
         return scores.to(images.device, torch.promote_types(self._dtype, torch.float32))
 
     @torch.no_grad()
     def attention(self, images: Tensor, question: str) -> list[Tensor | None]:
-        """Returns what each function of the question's program attends to in images [B, H, W, 3] in [0,1].
+        """Returns the attention masks of the functions of the question's program in images [B, H, W, 3] in [0,1].
 
         For each node, in the program's order, its mask [B, 15, 20] in [0,1], float32 on the CPU, high where an object
         of the set is; None for a node whose result is no set and no object. Raises as `program` does.
         """
-        found = self._run(images, [question])
+        execution = self._run(images, [question])
         return [
-            torch.stack([found.attention(image, node) for image in range(len(images))]).float().cpu()
+            torch.stack([execution.attention(image, node) for image in range(len(images))]).float().cpu()
             if kind in MAPPED
             else None
             for node, kind in enumerate(self.program(question).types)

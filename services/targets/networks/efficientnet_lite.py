@@ -45,11 +45,11 @@ class SameConv2d(nn.Conv2d):
 
     def zeros(self, size: tuple[int, int]) -> tuple[tuple[int, int], tuple[int, int]]:
         """Returns the padding of an input of `size` (height, width): (above, below) and (left, right)."""
-        found = []
+        margins = []
         for length, kernel, stride in zip(size, self.kernel_size, self.stride, strict=True):
             total = max((-(-length // stride) - 1) * stride + kernel - length, 0)
-            found.append((total // 2, total - total // 2))
-        return found[0], found[1]
+            margins.append((total // 2, total - total // 2))
+        return margins[0], margins[1]
 
 
 class Convolution(nn.Sequential):
