@@ -10,7 +10,7 @@ from services.analysis.images import answer
 from services.analysis.records import AnalysisRequest, Answer
 from services.errors import InvalidRequest
 from services.pipeline.exported_targets import register_exported
-from services.pipeline.prepare import prepare
+from services.pipeline.prepare import prepare_exactly
 from services.pipeline.result import Provenance
 from services.pipeline.spec import parse
 from services.pipeline.stored import read_stored
@@ -38,7 +38,7 @@ def replay(directory: Path, library: Library, limits: Settings = DEFAULTS) -> Re
 
     The directory is what `run --out` wrote, or an export, whose meshes and map take the place of `library`'s. Raises
     InvalidRequest("directory") if a file is missing or damaged, or if the network is missing or has other weights, and
-    as `prepare` does. `limits` are those of reading an export's uploads.
+    as `prepare_exactly` does. `limits` are those of reading an export's uploads.
     """
     kept = read_stored(directory)
     result, perturbation, stored = kept.result, kept.perturbation, kept.attacked
@@ -46,7 +46,7 @@ def replay(directory: Path, library: Library, limits: Settings = DEFAULTS) -> Re
     spec = parse(result.spec).model_copy(update={"analysis": AnalysisRequest()})
     _check_weights(spec.target.name, result.provenance)
     with _assets(directory, library, limits) as assets:
-        prepared = prepare(spec, assets)
+        prepared = prepare_exactly(spec, assets)
     kept.check(prepared.renderer.initial(), spec.attack.groups)
     image = prepared.verifier.image(perturbation)
     if image.shape != stored.shape:

@@ -6,7 +6,7 @@ from collections.abc import Callable
 import torch
 from pydantic import BaseModel, Field
 
-from services.pipeline.prepare import prepare
+from services.pipeline.prepare import prepare_exactly
 from services.pipeline.spec import parse
 from services.rendering.color import from_bytes
 from services.scenes.library import Library
@@ -54,7 +54,7 @@ def check(name: str, mesh: str, library: Library, report: Callable[[str], None] 
     generated = card.vocabulary == "clevr"
     scene = {"generate": {}} if generated else {"scene": {"objects": [{"mesh": mesh}]}}
     asked = {"target": {"name": name, "question": question}, "attack": {"renderer": "pyrender"}}
-    prepared = prepare(parse(scene | asked), library)
+    prepared = prepare_exactly(parse(scene | asked), library)
     target = prepared.target
     probabilities = torch.softmax(prepared.original.logits.double(), dim=-1)
     best = probabilities.topk(min(_TOP, len(target.labels)))
