@@ -31,7 +31,7 @@ def is_loopback(host: str) -> bool:
 
 
 def is_public(address: Address) -> bool:
-    """Whether an address is one of the internet. So must be the IPv4 address that an IPv6 address stands for."""
+    """Whether an address is public. The IPv4 address that an IPv6 address stands for must be public, too."""
     if isinstance(address, IPv6Address):
         inner = address.ipv4_mapped or address.sixtofour or (address.teredo or (None, None))[1]
         if address in _TRANSLATED_HERE or address.is_site_local:  # Python takes fec0::/10 for global
@@ -47,7 +47,7 @@ _NAME = re.compile(r"[a-z0-9._~-]+")
 
 
 def host_mistake(part: str) -> str | None:
-    """Why an entry, in lower case, is no name or IP address of a host; None if it is one."""
+    """Returns the reason why an entry, in lower case, is no name or IP address of a host; None if it is one."""
     if _address(part) is not None:
         return _written(part)
     if "://" in part or "/" in part:
@@ -63,7 +63,7 @@ def host_mistake(part: str) -> str | None:
 
 
 def endpoint_mistake(part: str) -> str | None:
-    """Why an entry is neither a URL that a card may name nor an IP address; None if it is one."""
+    """Returns the reason why an entry is neither a URL that a card may name nor an IP address; None if it is one."""
     if _address(part) is not None:
         return _written(part)
     try:

@@ -21,7 +21,7 @@ from services.errors import InvalidRequest
 
 CONNECT_SECONDS = 5
 READ_SECONDS = 20
-"""How long to wait for an object store; it is asked five times."""
+"""Time to wait for an answer of an object store, seconds; a request is made up to five times."""
 YOUNG_SECONDS = 1800.0
 """Age below which an object is not removed. Objects have the time of their writing only."""
 SETTING = "SCENE_ATTACK_ARTIFACT_URL"
@@ -139,8 +139,8 @@ class Objects:
     def names(self) -> list[str]:
         """The names of all objects."""
         with _errors():
-            found = self._files.find(self._prefix)
-        return sorted(path.removeprefix(f"{self._prefix}/") for path in found)
+            paths = self._files.find(self._prefix)
+        return sorted(path.removeprefix(f"{self._prefix}/") for path in paths)
 
     def keep(self, name: str) -> bool:
         """Says that an object is wanted: one that is no longer young is written again, which makes it young."""

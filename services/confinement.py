@@ -103,7 +103,7 @@ def program(machine: str) -> bytes:
     if machine not in _AUDIT_ARCH:
         raise OSError(f"there is no list of system calls for {machine}")
     column = list(_AUDIT_ARCH).index(machine)
-    numbers = [one[column] for one in ALLOWED.values()]
+    numbers = [row[column] for row in ALLOWED.values()]
     instructions = [
         (_LOAD, 0, 0, _ARCHITECTURE),
         (_JUMP_IF_EQUAL, 1, 0, _AUDIT_ARCH[machine]),
@@ -183,14 +183,16 @@ _PR_SET_PDEATHSIG, _PR_SET_NO_NEW_PRIVS = 1, 38
 
 def prctl(option: int, *arguments: object) -> int:
     """prctl(2). Raises OSError."""
-    given = [*arguments, *([0] * (4 - len(arguments)))]
-    return _checked(_libc.prctl(option, *(ctypes.c_ulong(one) if isinstance(one, int) else one for one in given)))
+    values = [*arguments, *([0] * (4 - len(arguments)))]
+    return _checked(
+        _libc.prctl(option, *(ctypes.c_ulong(value) if isinstance(value, int) else value for value in values))
+    )
 
 
 def syscall(number: int, *arguments: object) -> int:
     """syscall(2). Raises OSError."""
-    given = (ctypes.c_long(one) if isinstance(one, int) else one for one in arguments)
-    return _checked(_libc.syscall(ctypes.c_long(number), *given))
+    values = (ctypes.c_long(value) if isinstance(value, int) else value for value in arguments)
+    return _checked(_libc.syscall(ctypes.c_long(number), *values))
 
 
 def forbid_new_privileges() -> None:

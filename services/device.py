@@ -23,14 +23,14 @@ def device() -> "torch.device":
     """
     import torch
 
-    wanted = options().device
-    if wanted == "cpu" or (wanted == "auto" and not torch.cuda.is_available()):
+    name = options().device
+    if name == "cpu" or (name == "auto" and not torch.cuda.is_available()):
         return torch.device("cpu")
     count = torch.cuda.device_count() if torch.cuda.is_available() else 0
-    index = int(wanted.partition(":")[2] or 0)
+    index = int(name.partition(":")[2] or 0)
     if index >= count:
         there = f"{count} CUDA device{'s' if count > 1 else ''}, numbered from 0" if count else "no CUDA device"
-        raise InvalidRequest(f"SCENE_ATTACK_DEVICE={wanted}", f"this machine has {there}; use auto or cpu")
+        raise InvalidRequest(f"SCENE_ATTACK_DEVICE={name}", f"this machine has {there}; use auto or cpu")
     _make_deterministic()
     return torch.device("cuda", index)
 

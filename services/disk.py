@@ -62,13 +62,13 @@ def make_private(folder: Path, ours: frozenset[str]) -> None:
     """
     folder.parent.mkdir(parents=True, exist_ok=True)
     folder.mkdir(mode=0o700, exist_ok=True)
-    found = folder.stat()
-    if found.st_uid == os.geteuid() and found.st_mode & OTHERS and not found.st_mode & stat.S_ISVTX:
+    status = folder.stat()
+    if status.st_uid == os.geteuid() and status.st_mode & OTHERS and not status.st_mode & stat.S_ISVTX:
         foreign = sorted(path.name for path in folder.iterdir() if path.name not in ours and _counts(path.name))
         if foreign:
             raise NotOurs(foreign[0])
         with suppress(OSError):  # a file system that is read-only, or knows no modes
-            folder.chmod(stat.S_IMODE(found.st_mode) & ~OTHERS)
+            folder.chmod(stat.S_IMODE(status.st_mode) & ~OTHERS)
 
 
 def _counts(name: str) -> bool:

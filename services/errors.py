@@ -74,7 +74,7 @@ class QuotaExceeded(Exception):
 
 
 class InUse(Exception):
-    """What was to be deleted is in use; the message says by what. The API answers 409 with it."""
+    """Refusal to delete something that is in use; the message says by what. The API answers 409 with it."""
 
 
 class Cancelled(Exception):
@@ -105,7 +105,7 @@ def out_of_memory(error: BaseException) -> bool:
         return error.errno == errno.ENOMEM
     refused = isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError"
     words = ("can't allocate memory", "can't start new thread", "std::bad_alloc")
-    return refused or any(one in summary(error) for one in words)
+    return refused or any(word in summary(error) for word in words)
 
 
 def summary(error: BaseException) -> str:
@@ -142,4 +142,4 @@ def without_folders(text: str) -> str:
 
     Paths of the API, such as /v1/targets, stay: they begin with no folder of the machine.
     """
-    return _FOLDERS.sub(lambda found: "" if Path(found[1]).is_dir() else found[0], text)
+    return _FOLDERS.sub(lambda match: "" if Path(match[1]).is_dir() else match[0], text)

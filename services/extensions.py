@@ -118,15 +118,15 @@ def load(paths: Sequence[Path], registries: Sequence[Registry[Any]]) -> tuple[Ex
     If a file fails, its registrations are undone, so that it is loaded completely or not at all. In the main thread, a
     file that takes longer than `LOAD_SECONDS` fails.
     """
-    found: list[Extension] = []
+    extensions: list[Extension] = []
     for path in paths:
         try:
             files = _files(path)
         except (OSError, RuntimeError) as error:  # the latter for the home of a user who does not exist
-            found.append(Extension(path, None, error=f"it cannot be read: {_reason(error)}"))
+            extensions.append(Extension(path, None, error=f"it cannot be read: {_reason(error)}"))
         else:
-            found += [_load(file, registries) for file in files]
-    return tuple(found)
+            extensions += [_load(file, registries) for file in files]
+    return tuple(extensions)
 
 
 def _files(path: Path) -> list[Path]:
@@ -196,7 +196,7 @@ def _no_thread_left() -> Iterator[None]:
     """Raises RuntimeError if the block leaves a thread running for which Python would wait when the process ends."""
     before = set(threading.enumerate())
     yield
-    left = [one.name for one in set(threading.enumerate()) - before if not one.daemon]
+    left = [thread.name for thread in set(threading.enumerate()) - before if not thread.daemon]
     if left:
         raise RuntimeError(f"it leaves {left[0]} running, which keeps processes from ending; make it a daemon thread")
 

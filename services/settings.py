@@ -155,7 +155,7 @@ class Settings(BaseSettings):
 
     @property
     def files(self) -> Path | str:
-        """Where artifacts and uploads are: the URL of a store, or the data directory."""
+        """Location of artifacts and uploads: the URL of a store, or the data directory."""
         return self.artifact_url or self.data_dir
 
     @property

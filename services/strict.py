@@ -30,9 +30,9 @@ def is_nested_deeper(data: object, most: int = MOST_NESTED) -> bool:
     for _ in range(most + 1):
         level = [
             part
-            for one in level
-            if isinstance(one, dict | list)
-            for part in (one.values() if isinstance(one, dict) else one)
+            for item in level
+            if isinstance(item, dict | list)
+            for part in (item.values() if isinstance(item, dict) else item)
             if isinstance(part, dict | list)
         ]
         if not level:
@@ -49,18 +49,20 @@ def _strict(schema: Any, owner: type) -> Any:
     kind = schema.get("type")
     if kind == "model" and schema["cls"] is not owner and issubclass(schema["cls"], Strict):
         return schema  # it is strict already
-    made = {name: part if name in ("metadata", "default") else _strict(part, owner) for name, part in schema.items()}
+    converted = {
+        name: part if name in ("metadata", "default") else _strict(part, owner) for name, part in schema.items()
+    }
     if kind in ("bool", "int", "float"):
-        return made | {"strict": True}
+        return converted | {"strict": True}
     if kind == "str":
-        return core_schema.no_info_after_validator_function(_no_nul, made)
+        return core_schema.no_info_after_validator_function(_no_nul, converted)
     if kind == "dict":
-        return core_schema.no_info_before_validator_function(_few, made)
-    if kind in ("tuple", "list") and "max_length" in made:
-        most = made["max_length"]
+        return core_schema.no_info_before_validator_function(_few, converted)
+    if kind in ("tuple", "list") and "max_length" in converted:
+        most = converted["max_length"]
         # pydantic counts a list while it validates the items
-        return core_schema.no_info_before_validator_function(_at_most(most), made | {"fail_fast": most > LONG})
-    return made
+        return core_schema.no_info_before_validator_function(_at_most(most), converted | {"fail_fast": most > LONG})
+    return converted
 
 
 def _at_most(most: int) -> Callable[[Any], Any]:
@@ -90,8 +92,8 @@ class Strict(BaseModel):
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         """Pydantic's schema of the class, made strict."""
-        made: CoreSchema = _strict(handler(source), cls)
-        return made
+        schema: CoreSchema = _strict(handler(source), cls)
+        return schema
 
     @model_validator(mode="before")
     @classmethod

@@ -48,9 +48,9 @@ def is_blank(text: str) -> bool:
     return all(unicodedata.category(character) in _UNSEEN for character in text)
 
 
-def character(found: re.Match[str]) -> str:
+def character(match: re.Match[str]) -> str:
     """The name of a character: "U+001B"."""
-    return f"U+{ord(found[0]):04X}"
+    return f"U+{ord(match[0]):04X}"
 
 
 def visible(text: str) -> str:
@@ -60,13 +60,13 @@ def visible(text: str) -> str:
 
 def escaped(json_text: str) -> str:
     """Returns JSON that says the same, with those characters as its escapes."""
-    return _IN_NO_TEXT.sub(lambda found: f"\\u{ord(found[0]):04x}", json_text)
+    return _IN_NO_TEXT.sub(lambda match: f"\\u{ord(match[0]):04x}", json_text)
 
 
 def _check(text: str, unfit: re.Pattern[str], what: str) -> None:
-    if found := unfit.search(text):
+    if match := unfit.search(text):
         raise ValueError(
-            f"it has the character {character(found)}; {what} has no control characters and no bidirectional overrides"
+            f"it has the character {character(match)}; {what} has no control characters and no bidirectional overrides"
         )
 
 
@@ -85,8 +85,8 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
     At most three known names are suggested: the closest in spelling first, and at least one that sounds like it, if
     there is one. The result is empty if none is close.
     """
-    found = closest(name, known)
-    return f"; did you mean {' or '.join(map(repr, found))}?" if found else ""
+    names = closest(name, known)
+    return f"; did you mean {' or '.join(map(repr, names))}?" if names else ""
 
 
 def closest(name: str, known: Iterable[str]) -> list[str]:
@@ -95,7 +95,7 @@ def closest(name: str, known: Iterable[str]) -> list[str]:
         return []
     names = list(known)
     close = get_close_matches(name, names, n=MOST_SUGGESTED, cutoff=0.5)
-    heard = [one for one in _sounding_like(name, names) if one not in close][:1]
+    heard = [other for other in _sounding_like(name, names) if other not in close][:1]
     return [*close[: MOST_SUGGESTED - len(heard)], *heard]
 
 
@@ -107,20 +107,20 @@ def there_are(name: str, known: Iterable[str]) -> str:
 
 def _sounding_like(name: str, known: Iterable[str]) -> list[str]:
     """The known names that sound like a name, whole or without their folder."""
-    wanted = {sound(name), sound(name.rpartition("/")[2])}
-    wanted = {one for one in wanted if len(one) > 1}  # nearly everything sounds like a single consonant
-    return [one for one in known if {sound(one), sound(one.rpartition("/")[2])} & wanted]
+    sounds = {sound(name), sound(name.rpartition("/")[2])}
+    sounds = {code for code in sounds if len(code) > 1}  # nearly everything sounds like a single consonant
+    return [other for other in known if {sound(other), sound(other.rpartition("/")[2])} & sounds]
 
 
 def sound(word: str) -> str:
     """Returns the classes of a word's consonants, without vowels and repetitions; digits stay as "#" and the digit."""
     word = re.sub(r"[^a-z0-9]", "", word.casefold().replace("ph", "f"))
-    found = ""
+    result = ""
     for letter in word:
         code = f"#{letter}" if letter.isdigit() else str(_CLASSES.get(letter, ""))
-        if code and not found.endswith(code):
-            found += code
-    return found
+        if code and not result.endswith(code):
+            result += code
+    return result
 
 
 def signed(value: float, form: str) -> str:

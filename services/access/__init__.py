@@ -1,1 +1,1 @@
-"""Who may do what: keys with their scopes, the callers they stand for, and where a service without keys may listen."""
+"""Permissions: keys with their scopes, the callers they stand for, and where a service without keys may listen."""

@@ -23,7 +23,7 @@ Owned = TypeVar("Owned", Job, Campaign)
 
 
 class Scope(StrEnum):
-    """What a key allows. `admin` allows everything, and to see what every owner has."""
+    """Permission of a key. `admin` allows everything, and to see what every owner has."""
 
     JOBS_READ = "jobs:read"
     JOBS_WRITE = "jobs:write"
@@ -34,7 +34,7 @@ class Scope(StrEnum):
 
 @dataclass(frozen=True)
 class Caller:
-    """Who sends a request: the owner of what it makes, its scopes, and the prefix of its key, "" for no key."""
+    """Sender of a request: the owner of what it makes, its scopes, and the prefix of its key, "" for no key."""
 
     owner: str
     scopes: frozenset[Scope]
@@ -54,9 +54,9 @@ class Caller:
         """The owner whose jobs, campaigns and uploads the caller sees; None sees those of all."""
         return None if self.may(Scope.ADMIN) else self.owner
 
-    def visible(self, found: Owned | None) -> Owned | None:
-        """`found` if the caller sees its owner's, else None: what others have does not exist for the caller."""
-        return found if found is not None and self.only in (None, found.owner) else None
+    def visible(self, owned: Owned | None) -> Owned | None:
+        """Returns `owned` if the caller sees its owner's, else None: what others have does not exist for the caller."""
+        return owned if owned is not None and self.only in (None, owned.owner) else None
 
 
 KEYLESS = Caller("", frozenset(Scope), "")
@@ -152,7 +152,7 @@ UPLOAD_SECONDS = 3600.0
 
 @dataclass(frozen=True)
 class Quotas:
-    """What the settings allow each owner: queued jobs, campaigns that have not ended, uploaded bytes.
+    """Limits that the settings set for each owner: queued jobs, campaigns that have not ended, uploaded bytes.
 
     The owner "", of a service without keys, has no quotas.
     """

@@ -189,8 +189,8 @@ class Sessions:
         if not 0 < len(text) <= LONGEST:
             return None
         with self._database.read() as session:
-            found = session.scalars(select(DashboardSession).where(DashboardSession.digest == _digest(text))).first()
-            return None if found is None or found.expires_at <= now(session) else found.key
+            row = session.scalars(select(DashboardSession).where(DashboardSession.digest == _digest(text))).first()
+            return None if row is None or row.expires_at <= now(session) else row.key
 
     def end(self, text: str) -> None:
         """Ends the session with this text, if there is one."""

@@ -24,7 +24,7 @@ MOMENTUM = 0.75
 ENOUGH_RISES = 0.75
 """ρ: the step is halved at a checkpoint unless more than this share of the steps before it improved the objective."""
 FIRST_PERIOD, SHORTER_BY, SHORTEST_PERIOD = 0.22, 0.03, 0.06
-"""Number of steps up to the first checkpoint, by which each next period is shorter, and of the shortest, in `steps`."""
+"""Shares of `steps`: the first checkpoint's period, the decrease of each next period, and the shortest period."""
 
 
 @register

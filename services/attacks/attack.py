@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     State = dict[str, Tensor]
 else:
     State = dict
-"""What an attack remembers from step to step: tensors by name, among them `delta` [total], its perturbation."""
+"""State that an attack keeps from step to step: tensors by name, among them `delta` [total], its perturbation."""
 Limit = Annotated[float, Field(gt=0, le=MAX_STEP, allow_inf_nan=False)]
 Value = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
 Rate = Annotated[float, Field(ge=0, le=MAX_STEP, allow_inf_nan=False)]
@@ -33,7 +33,7 @@ Rate = Annotated[float, Field(ge=0, le=MAX_STEP, allow_inf_nan=False)]
 
 def _base_renderers() -> list[str]:
     """Names of the renderers that need no base renderer."""
-    return [name for name, one in RENDERERS.items() if one.base_renderer is None]
+    return [name for name, declaration in RENDERERS.items() if declaration.base_renderer is None]
 
 
 def renderer_names(schema: dict[str, Any]) -> None:
@@ -202,8 +202,8 @@ class Attack(Model):
         renderer = RENDERERS.get(info.data.get("renderer", ""))  # it may be refused itself
         for group in value:
             if renderer is not None and group not in renderer.group_names:
-                said = there_are(group, renderer.group_names)
-                raise ValueError(f"renderer {renderer.name} has no group {group!r}; {said}")
+                known_groups = there_are(group, renderer.group_names)
+                raise ValueError(f"renderer {renderer.name} has no group {group!r}; {known_groups}")
         if len(set(value)) != len(value):
             raise ValueError("each group at most once")
         return value
@@ -233,8 +233,8 @@ class Attack(Model):
             self.expectation.check(has)
             if self.truncation is not None:
                 raise ValueError("truncation: U is of one view in one light; with `expectation` leave it out")
-        for field, given in (("epsilon", self.epsilon), ("bounds", self.bounds), ("leave_out", self.leave_out)):
-            self.check_known(field, given)
+        for field, groups in (("epsilon", self.epsilon), ("bounds", self.bounds), ("leave_out", self.leave_out)):
+            self.check_known(field, groups)
         if self.needs_epsilon:
             self.check_groups("epsilon", self.epsilon)
         return self
@@ -265,9 +265,9 @@ def _one_of(names: list[str], value: str) -> str:
     return value
 
 
-def _completed(settings: type[Attack], given: dict[str, Any]) -> dict[str, Any]:
+def _completed(settings: type[Attack], fields: dict[str, Any]) -> dict[str, Any]:
     """The data with renderer, groups and base renderer filled in where they were left out."""
-    data = {"renderer": settings.model_fields["renderer"].default} | given
+    data = {"renderer": settings.model_fields["renderer"].default} | fields
     renderer = RENDERERS.get(data["renderer"]) if isinstance(data["renderer"], str) else None
     if renderer is None:
         return data
@@ -310,7 +310,7 @@ def register(attack: type[AnyAttack]) -> type[AnyAttack]:
     if not isinstance(getattr(attack, "needs_gradient", None), bool):
         raise ValueError(f"{attack.__name__}.needs_gradient is no bool; state it as a ClassVar[bool]")
     others = ATTACKS.so_far()
-    if name not in others and any(one.__name__ == attack.__name__ for one in others.values()):
+    if name not in others and any(other.__name__ == attack.__name__ for other in others.values()):
         raise ValueError(f"there is an attack {attack.__name__} already; openapi.yaml calls them by their class")
     ATTACKS.add(name, attack)
     return attack
@@ -330,11 +330,11 @@ def suggested(data: dict[str, Any], field: str, suggestion: Callable[[Group], fl
     Data that is invalid is returned as it is; the field's own validation refuses it.
     """
     renderer = RENDERERS.get(str(data.get("renderer")))
-    given, attacked = data.get(field) or {}, data.get("groups")
-    if renderer is None or not isinstance(given, dict) or not isinstance(attacked, list | tuple):
+    stated, attacked = data.get(field) or {}, data.get("groups")
+    if renderer is None or not isinstance(stated, dict) or not isinstance(attacked, list | tuple):
         return data
     values = {group.name: suggestion(group) for group in renderer.groups if group.name in attacked}
-    return data | {field: {group: value for group, value in values.items() if value is not None} | given}
+    return data | {field: {group: value for group, value in values.items() if value is not None} | stated}
 
 
 def suggested_limits(data: dict[str, Any]) -> dict[str, Any]:
@@ -346,11 +346,11 @@ def in_scale(data: dict[str, Any], field: str, share: float) -> dict[str, Any]:
     """Request data with `field`, by default this share of each attacked group's scale: its ε, or without one the larger
     of `STEPS_OF_SCALE` of the steps and the ε that its renderer suggests.
     """
-    limits, given = data.get("epsilon") or {}, data.get(field) or {}
-    if not isinstance(limits, dict) or not isinstance(given, dict):
+    limits, stated = data.get("epsilon") or {}, data.get(field) or {}
+    if not isinstance(limits, dict) or not isinstance(stated, dict):
         return data
     values = {group: share * limit for group, limit in limits.items() if isinstance(limit, int | float)}
-    return suggested(data | {field: values | given}, field, lambda group: _scaled(group, share))
+    return suggested(data | {field: values | stated}, field, lambda group: _scaled(group, share))
 
 
 def _scaled(group: Group, share: float) -> float | None:

@@ -161,16 +161,20 @@ def inactive(
         if variation is not None:
             moved = varied(problem.renderer, {group: value[None] for group, value in at.items()}, variation)
             there = {group: value[0] for group, value in moved.items()}
-        by_variation.append({one for one in problem.renderer.inactive(there, reach) if one.group in layout.groups})
-    return sorted(set.intersection(*by_variation), key=lambda one: layout.starts[one.group] + one.index)
+        by_variation.append(
+            {coordinate for coordinate in problem.renderer.inactive(there, reach) if coordinate.group in layout.groups}
+        )
+    return sorted(
+        set.intersection(*by_variation), key=lambda coordinate: layout.starts[coordinate.group] + coordinate.index
+    )
 
 
 def inactive_mask(
     problem: AttackProblem, delta: Tensor, half_steps: Tensor, variations: Sequence[Variation | None] = (None,)
 ) -> Tensor:
     """The coordinates of `inactive` as a mask, bool [total]."""
-    found = inactive(problem, delta, half_steps, variations)
-    return problem.layout.mask((one.group, one.index) for one in found)
+    coordinates = inactive(problem, delta, half_steps, variations)
+    return problem.layout.mask((coordinate.group, coordinate.index) for coordinate in coordinates)
 
 
 def active(
@@ -192,14 +196,14 @@ def active(
 def settings_of(
     problem: AttackProblem, half_steps: Tensor, variations: Sequence[Variation | None] = (None,)
 ) -> dict[str, object]:
-    """How differences are taken, as JSON: the half-step of each group, `delta`, and the coordinates that are inactive
-    at the start, `skipped`, with why.
+    """Returns the settings of the differences, as JSON: the half-step of each group, `delta`, and the coordinates that
+    are inactive at the start, `skipped`, with the reasons.
     """
     layout = problem.layout
-    found = inactive(problem, problem.nothing, half_steps, variations)
+    coordinates = inactive(problem, problem.nothing, half_steps, variations)
     return {
         "delta": {group: float(half_steps[layout.starts[group]]) for group in layout.groups},
-        "skipped": [{"coordinate": one.name, "why": one.why} for one in found],
+        "skipped": [{"coordinate": coordinate.name, "why": coordinate.why} for coordinate in coordinates],
     }
 
 

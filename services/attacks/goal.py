@@ -115,7 +115,7 @@ def check_loss(name: Loss, goal: ResolvedGoal, classes: int) -> None:
     there = classes - max(0, len(goal.leave) - 1)
     if name == "dlr" and there < least:
         kind = "targeted" if goal.reach is not None else "non-targeted"
-        others = ", ".join(one for one in LOSSES if one != "dlr")
+        others = ", ".join(loss for loss in LOSSES if loss != "dlr")
         raise InvalidRequest(
             "attack.loss", f"dlr needs at least {least} classes in a {kind} attack, here are {there}; use {others}"
         )

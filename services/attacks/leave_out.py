@@ -23,7 +23,7 @@ DRAWS = 8
 
 @dataclass(frozen=True)
 class Effects:
-    """What was measured: the advantage at the start, the effect of each coordinate alone, float64 [total], a mask of
+    """Measured effects: the advantage at the start, the effect of each coordinate alone, float64 [total], a mask of
     those left out, bool [total], and the largest change of the advantage by all of these together.
     """
 
@@ -38,7 +38,7 @@ class LeftOut:
     """The effects of a problem's coordinates, for its result and its plan."""
 
     change: Mapping[str, float]
-    """How far each was moved, by group."""
+    """Change by which each coordinate was moved, by group."""
     effects: Effects
     names: tuple[str, ...]
     """The name of each coordinate."""
@@ -47,7 +47,7 @@ class LeftOut:
 
     @property
     def settings(self) -> dict[str, object]:
-        """What was measured, as JSON: the advantage, the effect of each coordinate, and what is left out."""
+        """Measurements, as JSON: the advantage, the effect of each coordinate, and what is left out."""
         return {
             "advantage": self.effects.advantage,
             "effects": {self.names[k]: float(self.effects.alone[k]) for k in self._measured()},

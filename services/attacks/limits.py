@@ -86,7 +86,7 @@ class Layout:
 
 
 class Constraint(Protocol):
-    """What a scene allows beyond a box for each group, such as that objects do not overlap. The zero vector holds."""
+    """Constraint of a scene beyond a box for each group, such as that objects do not overlap. Zeros satisfy it."""
 
     @property
     def fixed(self) -> Mapping[str, Tensor]:
@@ -104,7 +104,7 @@ class Constraint(Protocol):
 
 @dataclass(frozen=True)
 class Limits:
-    """What a perturbation [total] may be: within a box, as the scene's constraint allows, and its image near the
+    """Limits of a perturbation [total]: a box, the scene's constraint, and the distance of its image from the
     original.
     """
 
@@ -124,7 +124,7 @@ class Limits:
     perceptibility: float | None = None
     """Largest p of an image, to which perturbations are pulled back; None: no limit."""
     constraint: Constraint | None = None
-    """What the scene allows; None: everything."""
+    """Constraint of the scene; None: there is none."""
 
     @classmethod
     def of(
@@ -168,7 +168,7 @@ class Limits:
         if self.constraint is None:
             return deltas
         allowed = [self.constraint.project(self.layout.unflatten(delta.detach())) for delta in deltas]
-        return torch.stack([self.layout.flatten(one) for one in allowed])
+        return torch.stack([self.layout.flatten(values) for values in allowed])
 
     def holds(self, delta: Tensor) -> bool:
         """Whether the constraint allows a perturbation [total]."""

@@ -58,7 +58,7 @@ class NaturalGradient(Attack):
     @model_validator(mode="after")
     def _through_differences_of_one_image(self) -> Self:
         if RENDERERS[self.renderer].differentiable:
-            can = ", ".join(name for name, one in RENDERERS.items() if not one.differentiable)
+            can = ", ".join(name for name, declaration in RENDERERS.items() if not declaration.differentiable)
             raise ValueError(
                 f"renderer: natural-gradient takes differences of images, for renderers without gradients ({can}); "
                 "use fgsm or apgd"

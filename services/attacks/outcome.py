@@ -1,4 +1,4 @@
-"""What is told of an attack: a row of its trace for each step, from which the dashboard draws its curves, and the
+"""Records of an attack: a row of its trace for each step, from which the dashboard draws its curves, and the
 verdict, from the truth and the network's answers. This module does not import torch, so that the API can read it.
 """
 
@@ -89,8 +89,9 @@ def judge(
 
 
 def held_within(outcome: Mapping[str, Any]) -> str:
-    """What bound a search that held, by the fields of a job's outcome: "within ε, p used 21.30 of 50.00 ×10⁻³"; empty
-    unless ε did.
+    """Returns the limits that bound an attack that held, by the fields of a job's outcome.
+
+    For example "within ε, p used 21.30 of 50.00 ×10⁻³". The text is empty unless ε was reached.
     """
     if outcome["outcome"] != "held" or not outcome.get("epsilon_bound"):
         return ""

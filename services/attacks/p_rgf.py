@@ -65,7 +65,7 @@ class PRgf(DifferencesWithinLimits):
         return state if problem.surrogate is None else state | measured_half_steps(problem)
 
     def measured(self, problem: AttackProblem, state: State) -> dict[str, object]:
-        """What the surrogate's gradient is taken by, as `surrogate`: differences of images, or {}."""
+        """Settings of the surrogate's gradient, as `surrogate`: those of differences of images, or {}."""
         if problem.surrogate is None:
             return {}
         differences = surrogate_problem(problem, state).differences

@@ -1,4 +1,4 @@
-"""An attack's problem: what may change, what is minimised, and how a perturbation is looked at.
+"""Problem of an attack: the parameters that may change, the loss, and the evaluation of a perturbation.
 
 Images are rounded to 8 bits with a straight-through derivative, so that an attack sees the image that is saved. What
 renderers, networks and attacks return is checked here: an extension that breaks its protocol must end its job with a
@@ -32,7 +32,7 @@ CHUNK_VALUES = 8_000_000
 MAX_BATCH = 28
 """Largest number of images rendered in one batch: both sides of the paper's 14 coordinates."""
 SLACK = 1e-4
-"""How far rounding may take a displayed value out of [0,1]; a fortieth of a step of an 8-bit image."""
+"""Largest excess of a displayed value beyond [0,1] by rounding; a fortieth of a step of an 8-bit image."""
 
 
 @dataclass
@@ -64,7 +64,7 @@ class Differences(Protocol):
         ...
 
     def settings(self, problem: AttackProblem) -> dict[str, object]:
-        """How they are taken, as JSON."""
+        """Settings of the differences, as JSON."""
         ...
 
 
@@ -90,7 +90,7 @@ class Evaluation:
     samples: tuple[Evaluation, ...] = ()
     """Evaluations of the same perturbation under the variations of the step."""
     objective: float = nan
-    """What gradients are of (`AttackProblem.objective`) without λ, the mean over the scene and `samples`."""
+    """Loss that is differentiated (`AttackProblem.objective`), without λ: the mean over the scene and `samples`."""
     gradient: Tensor | None = None
     """∂(objective + λ·‖ΔY‖²)/∂delta [total], likewise; None for attacks that need none."""
     metric: Tensor | None = None
@@ -109,7 +109,8 @@ class Evaluation:
 
 @dataclass(frozen=True)
 class AttackProblem:
-    """What may change, what is minimised, and how it is looked at. Only `counts` changes while an attack runs.
+    """Parameters that may change, the loss to minimise, and the renderer and network that evaluate it. Only `counts`
+    changes while an attack runs.
 
     A perturbation is one vector `delta` [total]: the changes of all attacked groups, in the order of `layout` and each
     in its group's unit. Images are [B, H, W, 3] in [0,1]; scores are [B, K], before the softmax. `AttackProblem.of`
@@ -130,7 +131,7 @@ class AttackProblem:
     first_step: int = 0
     """The attack's step at which this start begins; variations are drawn anew for each step of the attack."""
     loss: Loss = "log-odds"
-    """What gradients are of, and the objective of an evaluation."""
+    """Loss that gradients are of; its value is the objective of an evaluation."""
     distance_weight: float = 0.0
     """λ of the squared distance ‖ΔY‖² from the original."""
     expectation: Expectation | None = None
@@ -262,7 +263,7 @@ class AttackProblem:
             if self.limits.truncation is not None:
                 images = torch.cat([self.limits.truncate(image[None], self.original)[0] for image in images])
             advantages = [self.advantages(images)]
-            advantages += [self.advantages(self.render(chunk, one)) for one in self.variations(step)]
+            advantages += [self.advantages(self.render(chunk, variation)) for variation in self.variations(step)]
             objectives.append((torch.stack(advantages).mean(dim=0) + self.penalty(images)).cpu())
         return torch.cat(objectives)
 
@@ -432,8 +433,8 @@ def check_images(renderer: Renderer, images: Tensor, count: int) -> None:
     if not torch.tensor([low, high]).isfinite().all():
         raise JobFailure("non-finite", "the renderer returned an image with values that are not finite")
     if low < -SLACK or high > 1 + SLACK:
-        found = f"an image with values from {low:g} to {high:g}, not in [0,1]"
-        raise JobFailure("internal", f"renderer {renderer.name!r} returned {found}")
+        detail = f"an image with values from {low:g} to {high:g}, not in [0,1]"
+        raise JobFailure("internal", f"renderer {renderer.name!r} returned {detail}")
 
 
 def check_scores(target: Target, scores: Tensor, count: int) -> None:
@@ -464,8 +465,10 @@ def check_perturbation(problem: AttackProblem, delta: Tensor) -> None:
     """
     layout, limits = problem.layout, problem.limits
     if not isinstance(delta, Tensor) or delta.shape != (layout.total,) or not delta.is_floating_point():
-        found = f"{delta.dtype} of {list(delta.shape)}" if isinstance(delta, Tensor) else type(delta).__name__
-        raise JobFailure("internal", f"the attack's perturbation is {found}; floating-point [{layout.total}] is due")
+        description = f"{delta.dtype} of {list(delta.shape)}" if isinstance(delta, Tensor) else type(delta).__name__
+        raise JobFailure(
+            "internal", f"the attack's perturbation is {description}; floating-point [{layout.total}] is due"
+        )
     for group, values in layout.unflatten(delta.detach()).items():
         if not finite(values):
             raise JobFailure("non-finite", f"the perturbation of group {group!r} has values that are not finite")
@@ -479,6 +482,8 @@ def check_perturbation(problem: AttackProblem, delta: Tensor) -> None:
         )
 
 
-def _internal(kind: str, name: str, what: str, shape: tuple[int, ...], given: object) -> JobFailure:
-    found = f"{given.dtype} of {list(given.shape)}" if isinstance(given, Tensor) else type(given).__name__
-    return JobFailure("internal", f"{kind} {name!r} returned {what} as {found}; floating-point {list(shape)} is due")
+def _internal(kind: str, name: str, what: str, shape: tuple[int, ...], value: object) -> JobFailure:
+    description = f"{value.dtype} of {list(value.shape)}" if isinstance(value, Tensor) else type(value).__name__
+    return JobFailure(
+        "internal", f"{kind} {name!r} returned {what} as {description}; floating-point {list(shape)} is due"
+    )

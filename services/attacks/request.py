@@ -1,4 +1,4 @@
-"""What a request says of an attack's aim: the answer that it wants, what is minimised, and the range of views and light
+"""Aim of an attack in a request: the answer that it wants, the loss, and the range of views and light
 over which an adversary is to hold. This module does not import torch.
 """
 

@@ -57,7 +57,7 @@ class Verifier:
     renderer: Renderer
     target: Target
     counts: Counts = field(default_factory=Counts)
-    """Of what it renders and asks; an attack's problem shares it."""
+    """Images rendered and queries made; an attack's problem shares the counts."""
 
     @classmethod
     def of(cls, problem: AttackProblem) -> Self:
@@ -116,7 +116,7 @@ class Best:
 
 @dataclass
 class AttackRun:
-    """How far an attack has come. All but its first five fields and the clock is in the checkpoint.
+    """Progress of an attack. All but its first five fields and the clock is in the checkpoint.
 
     `begin_or_resume` makes one, `run_attack` runs it.
     """
@@ -135,7 +135,7 @@ class AttackRun:
     """Number of the present start."""
     trace: list[TraceRow] = field(default_factory=list)
     below_noise: int = 0
-    """In the last step: estimates below the noise, or groups whose gradient is zero."""
+    """Number of estimates below the noise in the last step, or of groups whose gradient is zero."""
     ever_truncated: Tensor = field(default_factory=lambda: torch.zeros(0, 0, dtype=torch.bool))
     """Pixels that were ever truncated, bool [H, W]."""
     best: Best | None = None
@@ -146,7 +146,7 @@ class AttackRun:
     earlier_error: ImageError | None = None
     """The renderer's `sampled_error` in earlier processes."""
     began: float = field(default_factory=monotonic)
-    """When it would have begun without interruptions, in seconds of the monotonic clock; `last_saved` likewise."""
+    """Start that a run without interruptions would have had, seconds of the monotonic clock; `last_saved` likewise."""
     last_saved: float = field(default_factory=monotonic)
 
     @classmethod
@@ -230,8 +230,10 @@ class AttackRun:
         row = self.row(evaluation)
         self.ever_truncated |= evaluation.truncated.cpu()
         if self.replaces_best(row, fooled):
-            one = evaluation.detached()
-            self.best = Best(self.step, one.delta.clone(), one.saved.cpu().clone(), one.scores.cpu().clone())
+            detached = evaluation.detached()
+            self.best = Best(
+                self.step, detached.delta.clone(), detached.saved.cpu().clone(), detached.scores.cpu().clone()
+            )
         self.fooled |= fooled
         if fooled and row.share in (None, 1.0):
             self.verified = self.verifier.fooled(self.stored, self.problem.goal)
@@ -353,7 +355,7 @@ def check_masking(run: AttackRun, queries: int) -> dict[str, object]:
 
 
 def rank(row: TraceRow) -> tuple[bool, float, float]:
-    """How good a perturbation is to store. Without an expectation it is the advantage alone."""
+    """Returns the quality of a perturbation as a sort key. Without an expectation it is the advantage alone."""
     if row.share is None:
         return False, 0.0, -row.advantage
     return row.advantage < 0, row.share, -row.objective

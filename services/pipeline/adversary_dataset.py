@@ -23,7 +23,7 @@ FORMAT = 1
 
 
 class AdversaryMetadata(TypedDict):
-    """What is known of an image. `truth` are all labels that are right; `answer` is the attacked network's. The azimuth
+    """Metadata of an image. `truth` are all labels that are right; `answer` is the attacked network's. The azimuth
     is the camera's, radians.
     """
 
@@ -75,7 +75,7 @@ class AdversaryDataset:
     def __getitem__(self, index: int, /) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], AdversaryMetadata]:
         item = self._items[index]
         label = np.zeros(len(self._index), np.float32)
-        label[[self._index[one] for one in item["truth"]]] = 1 / len(item["truth"])
+        label[[self._index[name] for name in item["truth"]]] = 1 / len(item["truth"])
         return self._image("images", item), label, item
 
     def original(self, index: int) -> npt.NDArray[np.float32]:

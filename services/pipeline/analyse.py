@@ -63,9 +63,9 @@ def analyse(subject: Subject, request: AnalysisRequest, library: Library, report
     """Makes the analyses. Raises JobFailure, and what `report` raises, which may be Cancelled."""
     prepared, perturbation = subject.prepared, subject.perturbation
     verifier, goal = prepared.verifier, prepared.settled.goal
-    found = Analyses()
+    analyses = Analyses()
     if request.coordinates is not None:
-        found.coordinates = of_coordinates(
+        analyses.coordinates = of_coordinates(
             verifier,
             goal,
             perturbation,
@@ -77,7 +77,7 @@ def analyse(subject: Subject, request: AnalysisRequest, library: Library, report
             tick=_named(report, "coordinates"),
         )
     if request.minimal is not None:
-        found.minimal = minimal_change(
+        analyses.minimal = minimal_change(
             verifier,
             goal,
             perturbation,
@@ -90,23 +90,23 @@ def analyse(subject: Subject, request: AnalysisRequest, library: Library, report
     if request.transfer is not None:
         tick = _named(report, "transfer")
         asked = [*request.transfer.targets, *request.transfer.renderers]
-        found.transfer = []
+        analyses.transfer = []
         for number, name in enumerate(asked):
             tick(number, len(asked))
             is_target = number < len(request.transfer.targets)
-            found.transfer.append(_to_target(subject, name) if is_target else _to_renderer(subject, name, library))
+            analyses.transfer.append(_to_target(subject, name) if is_target else _to_renderer(subject, name, library))
     if any((request.interpretation, request.rerendering, request.adaptive)):
         fitted = fitting_verifier(prepared.scene, prepared.spec)
         if request.interpretation is not None:
             steps = request.interpretation.steps
-            found.interpretation = interpret(
+            analyses.interpretation = interpret(
                 fitted, subject.attacked.saved, steps=steps, tick=_named(report, "interpretation")
             )
         if request.rerendering is not None:
             tick = _named(report, "rerendering")
-            found.rerendering, _ = rerendered(fitted, subject.attacked.saved, request.rerendering, tick)
+            analyses.rerendering, _ = rerendered(fitted, subject.attacked.saved, request.rerendering, tick)
         if request.adaptive is not None:
-            found.adaptive = attack_through(
+            analyses.adaptive = attack_through(
                 fitted,
                 goal,
                 subject.original.saved,
@@ -114,7 +114,7 @@ def analyse(subject: Subject, request: AnalysisRequest, library: Library, report
                 steps=request.adaptive.steps,
                 tick=_named(report, "adaptive"),
             )
-    return found
+    return analyses
 
 
 def fitting_verifier(scene: ResolvedScene, spec: JobSpec) -> Verifier:
@@ -137,8 +137,8 @@ def _named(report: Report, name: str) -> Tick:
 def _to_target(subject: Subject, name: str) -> Transferred:
     prepared = subject.prepared
     other = replace(prepared.verifier, target=registry.load(name), counts=Counts())
-    wanted = _wanted(prepared, name, other.target.labels)
-    return shown_to(other, wanted, subject.original.saved, subject.attacked.saved, prepared.renderer.name)
+    goal = _wanted(prepared, name, other.target.labels)
+    return shown_to(other, goal, subject.original.saved, subject.attacked.saved, prepared.renderer.name)
 
 
 def _to_renderer(subject: Subject, name: str, library: Library) -> Transferred:
@@ -191,8 +191,8 @@ def analyse_stored(directory: Path, request: AnalysisRequest, library: Library, 
     perturbation = {group: stored.perturbation[group] for group in spec.attack.groups}  # in the order of tables
     ends = prepared.original, scored(verifier, perturbation)
     rows = subsets(verifier, prepared.settled.goal, perturbation, *ends)
-    found = analyse(Subject(prepared, perturbation, *ends), request, library, report)
-    return StoredAnalysis(subsets=rows, attribution=of_subsets(rows), analyses=found)
+    analyses = analyse(Subject(prepared, perturbation, *ends), request, library, report)
+    return StoredAnalysis(subsets=rows, attribution=of_subsets(rows), analyses=analyses)
 
 
 def rerender_image(
@@ -216,6 +216,6 @@ def decode_image(data: bytes, size: tuple[int, int]) -> Tensor:
     return torch.from_numpy(reader().read_image(data, size).copy())
 
 
-def _check_size(found: tuple[int, int], size: tuple[int, int]) -> None:
-    if found != tuple(size):
-        raise InvalidRequest("image", other_size(found, size))
+def _check_size(actual: tuple[int, int], size: tuple[int, int]) -> None:
+    if actual != tuple(size):
+        raise InvalidRequest("image", other_size(actual, size))

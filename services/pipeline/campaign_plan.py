@@ -76,14 +76,14 @@ def image_renderer(spec: JobSpec) -> str:
 
 def views(campaign: CampaignSpec) -> list[View]:
     """All views of a campaign: by grid, scene, target and renderer, then those of the single jobs."""
-    found: list[View] = []
+    result: list[View] = []
     for index, grid in enumerate(campaign.grids):
         for number, member in enumerate(grid.members()):
             for probe in _probes(grid, member):
-                found.append(View(len(found), index, number, probe, grid.selection, member.questions))
+                result.append(View(len(result), index, number, probe, grid.selection, member.questions))
     for number, job in enumerate(campaign.jobs):
-        found.append(View(len(found), None, number, job, None))
-    return found
+        result.append(View(len(result), None, number, job, None))
+    return result
 
 
 def _probes(grid: Grid, member: Member) -> Iterator[JobSpec]:
@@ -98,7 +98,7 @@ def _probes(grid: Grid, member: Member) -> Iterator[JobSpec]:
 
 def job_of(grid: Grid, member: Member, target: TargetChoice, attack: Attack) -> JobSpec:
     """The job of a grid with this scene, its questions, this target and attack, and seed 0."""
-    words = tuple(one.question for one in member.questions)
+    words = tuple(asked.question for asked in member.questions)
     if len(words) == 1:
         target = target.model_copy(update={"question": words[0]})
     elif words:
@@ -199,7 +199,7 @@ def _unfit(view: View, answer: FirstAnswer | None) -> str:
         return "its first answer could not be found"
     if answer.refused is not None:
         return answer.refused
-    if view.asked and answer.programs != [one.program.written() for one in view.asked if one.program is not None]:
+    if view.asked and answer.programs != [asked.program.written() for asked in view.asked if asked.program is not None]:
         return "the network has another program than that of the question"
     rules = view.selection
     if rules is None:
@@ -218,9 +218,9 @@ def nothing_chosen(views: Sequence[ChosenView]) -> str | None:
     if not views or any(view.chosen for view in views):
         return None
     counted = Counter(view.why for view in views).most_common(3)
-    said = "; ".join(f"{why} ({count:,} of {len(views):,})" for why, count in counted)
+    reasons = "; ".join(f"{why} ({count:,} of {len(views):,})" for why, count in counted)
     hint = " The field goal.truth of a grid states it." if any(why == UNKNOWN for why, _ in counted) else ""
-    return f"No view is attacked: {said}.{hint}"
+    return f"No view is attacked: {reasons}.{hint}"
 
 
 def _of_another(unit: Sequence[View], why: Mapping[int, str]) -> str:
@@ -275,8 +275,8 @@ def _confidence(answer: FirstAnswer) -> float:
 def _record(view: View, answer: FirstAnswer | None, why: str, titles: Mapping[str, str]) -> ChosenView:
     return ChosenView(
         number=view.number,
-        scene=scene_name({"scene": {"objects": [{"mesh": one.mesh} for one in view.probe.scene.objects]}}, titles),
-        questions=[one.question for one in view.asked],
+        scene=scene_name({"scene": {"objects": [{"mesh": thing.mesh} for thing in view.probe.scene.objects]}}, titles),
+        questions=[asked.question for asked in view.asked],
         azimuth=view.probe.scene.camera.azimuth,
         target=view.probe.target.name,
         renderer=view.image_renderer,

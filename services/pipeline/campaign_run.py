@@ -69,12 +69,12 @@ def first_answer(view: View, library: Library) -> FirstAnswer:
 
 
 DONE = "done.json"
-"""Beside the result of a job: its run time and the digest of the campaign that ran it. It is written last."""
+"""File beside the result of a job: its run time and the digest of the campaign that ran it. It is written last."""
 
 
 @dataclass(frozen=True)
 class CampaignProgress:
-    """How far a campaign is: in the phase "selecting" in views, in the phase "attacking" in jobs."""
+    """Progress of a campaign, in views in the phase "selecting" and in jobs in the phase "attacking"."""
 
     phase: str
     done: int
@@ -99,9 +99,9 @@ def run_campaign(
     assets, weights, backend and versions.
     Raises Cancelled as soon as `cancelled()` is true; what was done stays.
     """
-    found = views(campaign)
-    answers = _answers(campaign, found, out, library, progress, cancelled)
-    chosen, planned = plan(campaign, found, answers, library.titles(meshes_in(found)))
+    all_views = views(campaign)
+    answers = _answers(campaign, all_views, out, library, progress, cancelled)
+    chosen, planned = plan(campaign, all_views, answers, library.titles(meshes_in(all_views)))
     cells = [(job.target, job.attack) for job in planned]
     disk.write(out / "jobs.json", json.dumps([job.digest for job in planned], indent=1).encode())
     cases: list[Case] = []
@@ -120,7 +120,7 @@ def run_campaign(
 
 def _answers(
     campaign: CampaignSpec,
-    found: Sequence[View],
+    all_views: Sequence[View],
     out: Path,
     library: Library,
     progress: Callable[[CampaignProgress], None],
@@ -130,20 +130,20 @@ def _answers(
     words, begun, kept = campaign.model_dump_json(indent=1), out / "campaign.json", out / "first_answers.jsonl"
     answers: dict[int, FirstAnswer] = {}
     if kept.exists() and begun.exists() and begun.read_text("utf-8") == words:
-        answers = _kept(kept, found, library)
+        answers = _kept(kept, all_views, library)
     if not answers:
         kept.unlink(missing_ok=True)
         disk.write(begun, words.encode())
     with kept.open("a", encoding="utf-8") as file:
-        for answer in first_answers([v for v in found if v.number not in answers], library, cancelled):
+        for answer in first_answers([v for v in all_views if v.number not in answers], library, cancelled):
             file.write(answer.model_dump_json() + "\n")
             file.flush()
             answers[answer.view] = answer
-            progress(CampaignProgress("selecting", len(answers), len(found)))
+            progress(CampaignProgress("selecting", len(answers), len(all_views)))
     return answers
 
 
-def _kept(file: Path, found: Sequence[View], library: Library) -> dict[int, FirstAnswer]:
+def _kept(file: Path, all_views: Sequence[View], library: Library) -> dict[int, FirstAnswer]:
     """The first answers of an earlier run that still hold: one view of each target and renderer is asked for again."""
     answers: dict[int, FirstAnswer] = {}
     for line in file.read_text("utf-8").splitlines():
@@ -154,11 +154,11 @@ def _kept(file: Path, found: Sequence[View], library: Library) -> dict[int, Firs
         answers[answer.view] = answer
     groups: dict[tuple[str, str], list[FirstAnswer]] = {}
     for answer in answers.values():
-        view = found[answer.view]
+        view = all_views[answer.view]
         groups.setdefault((view.probe.target.name, view.image_renderer), []).append(answer)
     for group in groups.values():
         sample = next((answer for answer in group if answer.refused is None), group[0])
-        if first_answer(found[sample.view], library) != sample:
+        if first_answer(all_views[sample.view], library) != sample:
             for answer in group:
                 del answers[answer.view]
     # written again, so that an incomplete line is gone

@@ -50,9 +50,9 @@ Listed = TypeVar("Listed")
 def once(value: tuple[Listed, ...]) -> tuple[Listed, ...]:
     """The list itself. Raises ValueError if an entry comes twice: its jobs would count as so many cases."""
     seen: dict[Listed, int] = {}
-    for index, one in enumerate(value):
-        if seen.setdefault(one, index) != index:
-            raise ValueError(f"{index}: is the same as entry {seen[one]}; the same job is one case, list it once")
+    for index, entry in enumerate(value):
+        if seen.setdefault(entry, index) != index:
+            raise ValueError(f"{index}: is the same as entry {seen[entry]}; the same job is one case, list it once")
     return value
 
 
@@ -211,11 +211,11 @@ class QuestionGrid(Model):
 
         Raises InvalidRequest as `members` does, and if no such question can be asked about this scene.
         """
-        one = self.model_copy(update={"images": 1, "together": False})
-        found = next(_made(one), None)
-        if found is None:
+        single = self.model_copy(update={"images": 1, "together": False})
+        member = next(_made(single), None)
+        if member is None:
             raise InvalidRequest("generate.kinds", "no such question can be asked about the first scene")
-        return found
+        return member
 
 
 @lru_cache(maxsize=4)
@@ -249,7 +249,7 @@ Name = Annotated[str, Field(min_length=1, max_length=100), AfterValidator(line)]
 
 
 def _confident(value: object) -> bool:
-    """Whether it is what was done before there was a choice, so that a stored request leaves it out."""
+    """Whether it is the default from before there was a choice, which a stored request leaves out."""
     return value == "confident"
 
 
@@ -387,7 +387,7 @@ class CampaignSpec(Model):
     @classmethod
     def _few_generated(cls, data: Any) -> Any:
         listed = data if isinstance(data, list | tuple) else ()
-        count = sum(isinstance(one, dict) and one.get("generate") is not None for one in listed)
+        count = sum(isinstance(item, dict) and item.get("generate") is not None for item in listed)
         if count > MOST_GENERATED:
             raise ValueError(
                 f"{count:,} jobs have `generate`, and {MOST_GENERATED} may; use `generate` of a grid for more"

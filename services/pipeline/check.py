@@ -187,7 +187,7 @@ def samples(campaign: CampaignSpec) -> Iterator[tuple[JobSpec, Places]]:
 
 
 def _kind(job: JobSpec) -> tuple[object, ...]:
-    """What a check of a job on another scene, or with other steps and rates, would find the same."""
+    """Returns the parts of a job on which a check depends, other than its scene, steps and rates."""
     attack = job.attack
     limits = str(attack.bounds), attack.objective, attack.groups
     return job.target.name, attack.renderer, attack.base_renderer, attack.method, *limits
@@ -234,7 +234,7 @@ def check_samples(campaign: CampaignSpec, check: Callable[[JobSpec], object]) ->
 
 def placed(error: InvalidRequest, places: Places) -> InvalidRequest:
     """The errors of a job with the paths that their fields have in the campaign."""
-    return InvalidFields([_placed(one, places) for one in error.every])
+    return InvalidFields([_placed(part, places) for part in error.every])
 
 
 def _placed(error: InvalidRequest, places: Places) -> InvalidRequest:

@@ -281,17 +281,17 @@ def best_so_far(spec: JobSpec, path: Path, out: Path, library: Library) -> BestS
 
     Writes best-so-far.json and what was changed into `out`. Raises what `prepare_exactly` does.
     """
-    found = best_of_checkpoint(path)
-    if found is None:
+    checkpoint = best_of_checkpoint(path)
+    if checkpoint is None:
         return None
     prepared = prepare_exactly(spec, library)
     original, goal, labels = prepared.original, prepared.settled.goal, prepared.target.labels
-    stored = {group: found.stored[group] for group in prepared.spec.attack.groups}
+    stored = {group: checkpoint.stored[group] for group in prepared.spec.attack.groups}
     attacked = scored(prepared.verifier, stored)
     best = BestSoFar(
-        step=found.stored_step,
-        steps=found.step,
-        queries=found.queries,
+        step=checkpoint.stored_step,
+        steps=checkpoint.step,
+        queries=checkpoint.queries,
         verified=bool(goal.fooled(attacked.logits)),
         original=answer(original.logits, labels, goal),
         attacked=answer(attacked.logits, labels, goal),

@@ -38,7 +38,7 @@ class ExportedTarget(BaseModel):
     )
 
     def missing(self, folder: str) -> str | None:
-        """What another machine lacks to load the network, as a sentence; None if scene-attack comes with it.
+        """Returns a sentence about what another machine lacks to load the network; None if scene-attack comes with it.
 
         `folder` is the path of the folder `targets` of the export, as the sentence is to name it.
         """
@@ -75,7 +75,9 @@ def _exported(name: str, weights_sha256: str, result: Result) -> ExportedTarget:
         weights_sha256=weights_sha256,
         model_file=None if known is None or known.model_file is None else known.model_file.name,
         extensions={
-            one.name: used[one.name] for one in loaded_extensions() if one.name in used and ("target", name) in one.adds
+            extension.name: used[extension.name]
+            for extension in loaded_extensions()
+            if extension.name in used and ("target", name) in extension.adds
         },
     )
 
@@ -106,7 +108,7 @@ def register_exported(export: Path) -> None:
         folder = file.with_suffix("")
         if (folder / CARD).is_file() and any((folder / name).is_file() for name in MODEL_FILES):
             # What somebody put into the export is meant, whatever this machine calls by the same name.
-            TARGETS.restore({name: one for name, one in TARGETS.snapshot().items() if name != target.name})
+            TARGETS.restore({name: declared for name, declared in TARGETS.snapshot().items() if name != target.name})
             reason = register_folder(folder, AllowList()).error
             if reason is not None:
                 raise InvalidRequest("directory", f"the network in {folder} cannot be used: {reason}")

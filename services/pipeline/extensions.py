@@ -116,7 +116,7 @@ def register_folders(root: Path | None, allowed: AllowList = NOTHING) -> tuple[T
     if root is None:
         return ()
     try:
-        folders = sorted(one for one in root.iterdir() if one.is_dir() and not one.name.startswith("."))
+        folders = sorted(path for path in root.iterdir() if path.is_dir() and not path.name.startswith("."))
     except OSError as error:
         return (TargetFolder(printable(str(root)), error=f"it cannot be read: {error.strerror}"),)
     return tuple(register_folder(folder, allowed) for folder in folders)
@@ -173,8 +173,8 @@ def read_card(folder: Path) -> tuple[Card, str]:
         card = Card.model_validate(read_json(data))
     except ValidationError as error:
         first, *others = invalid_fields(error.errors(include_url=False), Card.model_json_schema())
-        said = "; ".join([first.detail, *map(str, others)])
-        raise InvalidRequest(f"{CARD}: {first.field}", said) from error
+        detail = "; ".join([first.detail, *map(str, others)])
+        raise InvalidRequest(f"{CARD}: {first.field}", detail) from error
     except NotJson as error:
         raise InvalidRequest(CARD, str(error)) from error
     return card, sha256(data).hexdigest()
@@ -204,8 +204,8 @@ def _model_file(folder: Path, card: Card, allowed: AllowList) -> Path | None:
     file = files[0] if files else None
     of_weights = file is not None and file.suffix == ".safetensors"
     if of_weights and card.architecture not in ARCHITECTURES:
-        said = "is needed" if card.architecture is None else f"there is no {card.architecture!r}"
-        raise InvalidRequest(f"{CARD}: architecture", f"{said}; {there_are(card.architecture or '', ARCHITECTURES)}")
+        detail = "is needed" if card.architecture is None else f"there is no {card.architecture!r}"
+        raise InvalidRequest(f"{CARD}: architecture", f"{detail}; {there_are(card.architecture or '', ARCHITECTURES)}")
     if card.architecture is not None and not of_weights:
         raise InvalidRequest(f"{CARD}: architecture", "is only for model.safetensors; leave it out")
     for key, named, refusal in (
@@ -219,7 +219,7 @@ def _model_file(folder: Path, card: Card, allowed: AllowList) -> Path | None:
 
 
 def _without(folder: Path) -> str:
-    there = sorted(one.name for one in folder.iterdir() if one.suffix in _PICKLES)
+    there = sorted(file.name for file in folder.iterdir() if file.suffix in _PICKLES)
     if there:
         return (
             f"{printable(there[0])} is a pickle, which can run any code and is never read; save the network as "

@@ -49,14 +49,14 @@ def invalid_fields(items: Iterable[Mapping[str, Any]], schema: Schema) -> list[I
     A field with alternatives is reported once, with all of them; where an alternative has fields of its own that are
     invalid, those are reported instead.
     """
-    found: dict[tuple[str, ...], str] = {}
+    details: dict[tuple[str, ...], str] = {}
     for item in islice(items, MAX_ERRORS):
         path, detail = _error(item, schema)
-        found.setdefault(path, detail)
+        details.setdefault(path, detail)
     # an error of an enclosing field follows from the errors within it, or is of an alternative that was not meant
-    enclosing = {path[:length] for path in found for length in range(len(path))}
-    inner = [path for path in found if path not in enclosing]
-    return [InvalidRequest(_path(path), _shortened(encodable(found[path]), MAX_DETAIL)) for path in inner]
+    enclosing = {path[:length] for path in details for length in range(len(path))}
+    inner = [path for path in details if path not in enclosing]
+    return [InvalidRequest(_path(path), _shortened(encodable(details[path]), MAX_DETAIL)) for path in inner]
 
 
 def _path(parts: Sequence[str]) -> str:
@@ -88,9 +88,9 @@ def _error(item: Mapping[str, Any], schema: Schema) -> tuple[tuple[str, ...], st
     if place.schema is None:
         return place.path, in_words(item)
     meaning = "" if place.description is None else f": {place.description.partition('; ')[0]}"
-    given = "but is missing" if kind == "missing" else f"not {_given(item.get('input'))}"
+    actual = "but is missing" if kind == "missing" else f"not {_given(item.get('input'))}"
     hint = looks_like_degrees(item.get("input"), place.description)
-    return place.path, f"must be {expected(place.schema, schema)}, {given}{meaning}{hint}"
+    return place.path, f"must be {expected(place.schema, schema)}, {actual}{meaning}{hint}"
 
 
 def _place(loc: Sequence[int | str], schema: Schema) -> _Place:
@@ -125,8 +125,8 @@ def _child(schema: Schema, part: int | str) -> Schema | None:
         fixed: Sequence[Schema] = schema.get("prefixItems", ())
         return fixed[part] if part < len(fixed) else schema.get("items")
     others = schema.get("additionalProperties")
-    found: Schema | None = schema.get("properties", {}).get(part, others if isinstance(others, dict) else None)
-    return found
+    child: Schema | None = schema.get("properties", {}).get(part, others if isinstance(others, dict) else None)
+    return child
 
 
 def _resolved(schema: Schema, root: Schema) -> Schema:
@@ -137,8 +137,8 @@ def _resolved(schema: Schema, root: Schema) -> Schema:
 
 def _options(schema: Schema, root: Schema) -> list[Schema]:
     """The alternatives of a field other than null; the field itself if it has only one."""
-    options = [_resolved(one, root) for one in schema.get("anyOf", (schema,))]
-    return [one for one in options if one.get("type") != "null"]
+    options = [_resolved(option, root) for option in schema.get("anyOf", (schema,))]
+    return [option for option in options if option.get("type") != "null"]
 
 
 def _tags(place: _Place) -> list[str]:
@@ -149,7 +149,7 @@ def expected(schema: Schema, root: Schema) -> str:
     """The values that are valid for a schema, in words. `root` has the definitions that it refers to."""
     schema = _resolved(schema, root)
     if "anyOf" in schema:
-        *most, last = (expected(one, root) for one in schema["anyOf"])
+        *most, last = (expected(option, root) for option in schema["anyOf"])
         return f"{', '.join(most)} or {last}"
     if "discriminator" in schema:
         chosen = schema["discriminator"]
@@ -178,7 +178,7 @@ def expected(schema: Schema, root: Schema) -> str:
 
 
 def _list(schema: Schema, root: Schema) -> str:
-    fixed = [expected(one, root) for one in schema.get("prefixItems", ())]
+    fixed = [expected(item, root) for item in schema.get("prefixItems", ())]
     if fixed and len(set(fixed)) == 1:
         return f"a list of {len(fixed)}, each {fixed[0]}"
     if fixed:
@@ -248,22 +248,22 @@ _NAMES = {30: "π/6", 45: "π/4", 60: "π/3", 90: "π/2", 180: "π", 270: "3π/2
 
 def in_words(item: Mapping[str, Any]) -> str:
     """An item of `pydantic.ValidationError.errors()` in words: what would be valid, and what was given."""
-    kind, context, given = str(item["type"]), item.get("ctx", {}), item.get("input")
+    kind, context, value = str(item["type"]), item.get("ctx", {}), item.get("input")
     if kind in ("value_error", "assertion_error"):
         return str(item["msg"]).partition(", ")[2] or str(item["msg"])
     expected = _KINDS.get(kind.partition("_")[0])
     if kind in _TEMPLATES:
-        said = _TEMPLATES[kind].format(**context)
+        message = _TEMPLATES[kind].format(**context)
     else:
-        said = f"must be {expected}" if expected else str(item["msg"]).replace("Input should be", "must be")
-    if kind in _WITHOUT_VALUE or "input" not in item or isinstance(given, dict | bytes):
-        return said
+        message = f"must be {expected}" if expected else str(item["msg"]).replace("Input should be", "must be")
+    if kind in _WITHOUT_VALUE or "input" not in item or isinstance(value, dict | bytes):
+        return message
     near = ""
-    if kind in ("enum", "literal_error") and isinstance(given, str):
+    if kind in ("enum", "literal_error") and isinstance(value, str):
         near = did_you_mean(
-            given, (one.strip(" '") for one in str(context["expected"]).replace(" or ", ",").split(","))
+            value, (name.strip(" '") for name in str(context["expected"]).replace(" or ", ",").split(","))
         )
-    return f"{said}, not {_given(given)}{near}"
+    return f"{message}, not {_given(value)}{near}"
 
 
 def looks_like_degrees(value: object, description: str | None) -> str:

@@ -1,4 +1,4 @@
-"""What a network is asked, and how its answers are judged: the truth, the labels to leave, and the label to reach.
+"""Questions to a network and the judgement of its answers: the truth, the labels to leave, and the label to reach.
 
 A `Task` is what the rest of the pipeline knows of it. `Classification` is that of a network that says what it sees;
 that of a network that answers questions about scenes after CLEVR is in `questions`.
@@ -53,7 +53,7 @@ class PlannedConstraint(Constraint, Protocol):
 
 
 class Task(Protocol):
-    """What a network is asked about a scene, and how its answers are judged."""
+    """Questions to a network about a scene, and the judgement of its answers."""
 
     @property
     def target(self) -> Target:
@@ -87,7 +87,7 @@ class Task(Protocol):
     def judge(
         self, settled: Settled, renderer: str, stored: Parameters, before: ScoredImage, after: ScoredImage, out: Path
     ) -> tuple[Verdict, list[QuestionResult]]:
-        """What the attack came to, and the records of the questions, whose files are written into `out`.
+        """Returns the outcome of the attack and the records of the questions, whose files are written into `out`.
 
         `stored` is the perturbation, drawn by `renderer`; `before` and `after` are the exact images without and with
         it.
@@ -130,7 +130,7 @@ class Classification:
         after: ScoredImage,
         out: Path,  # noqa: ARG002
     ) -> tuple[Verdict, list[QuestionResult]]:
-        """By the truth, the answers before and after, and whether the goal is met."""
+        """Judges by the truth, the answers before and after, and whether the goal is met."""
         first, last = int(before.logits.argmax()), int(after.logits.argmax())
         return judge(settled.truth, first, last, bool(settled.goal.fooled(after.logits))), []
 
@@ -141,8 +141,8 @@ def table_truth(meshes: Iterable[str], target: TargetInfo, labels: tuple[str, ..
     Empty if a mesh is not in the table, or if two meshes differ in their labels: of a chair at a table either answer
     may be right, and nobody has said which.
     """
-    found = {truth_labels(target, mesh) for mesh in meshes}
-    names = found.pop() if len(found) == 1 else ()
+    label_sets = {truth_labels(target, mesh) for mesh in meshes}
+    names = label_sets.pop() if len(label_sets) == 1 else ()
     return tuple(labels.index(name) for name in names if name in labels)
 
 
@@ -169,23 +169,27 @@ def settle(asked: AskedGoal, table: Iterable[int], logits: Tensor) -> Settled:
     labels, leave, reach = asked.labels, asked.leave, asked.reach
     first = int(logits.argmax())
     confidence = float(probability(logits, first))
-    said = f"{labels[first]!r} ({confidence:.2f})"
+    first_answer = f"{labels[first]!r} ({confidence:.2f})"
     if leave and first not in leave and asked.truth and first in asked.truth:
-        said += f", which is right and not {_words(leave, labels)}"
-        raise InvalidRequest("goal.leave", f"the network says {said}; leave this field out to attack that answer")
+        first_answer += f", which is right and not {_words(leave, labels)}"
+        raise InvalidRequest(
+            "goal.leave", f"the network says {first_answer}; leave this field out to attack that answer"
+        )
     if leave and first not in leave:
         raise InvalidRequest(
             "goal.leave",
-            f"the network already gets this scene wrong: it says {said}, not {_words(leave, labels)}; "
+            f"the network already gets this scene wrong: it says {first_answer}, not {_words(leave, labels)}; "
             "choose a view it gets right, or leave this field out to attack its own first answer",
         )
     if first == reach:
-        raise InvalidRequest("goal.reach", f"the network already says {said}; there is nothing to attack")
+        raise InvalidRequest("goal.reach", f"the network already says {first_answer}; there is nothing to attack")
     # stated, reviewed, or implied by the label to leave
     truth = asked.truth if asked.truth is not None else with_same(frozenset(table), asked.same) or leave
     right = first in truth
     if right and reach in truth:
-        raise InvalidRequest("goal.reach", f"is as right as the network's answer {said}; name a label that is wrong")
+        raise InvalidRequest(
+            "goal.reach", f"is as right as the network's answer {first_answer}; name a label that is wrong"
+        )
     if right:
         leave |= truth
     elif reach is None:

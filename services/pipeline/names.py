@@ -19,7 +19,7 @@ def question_names(spec: Mapping[str, Any]) -> list[str]:
     """The questions of a full spec: their words, or "A program of 9 functions that asks for a number"."""
     target = spec["target"]
     asked = [*([] if target.get("question") is None else [target["question"]]), *target.get("questions", ())]
-    return [one if isinstance(one, str) else _program_name(one) for one in asked]
+    return [question if isinstance(question, str) else _program_name(question) for question in asked]
 
 
 def job_name(spec: Mapping[str, Any], titles: Mapping[str, str] | None = None) -> str:

@@ -61,7 +61,7 @@ class Prepared:
     original: ScoredImage
     """The image of the scene, and the network's scores of it."""
     task: Task
-    """What the network is asked, and how its answers are judged."""
+    """Questions to the network, and the judgement of its answers."""
     settled: Settled
     """The goal, the right labels, and the warnings."""
     constraint: PlannedConstraint | None
@@ -109,11 +109,11 @@ def prepare(spec: JobSpec, library: Library) -> Prepared:
     labels, a range of views beyond the renderer's, a surrogate that cannot guide (`surrogate`), and what
     `goals.settle` refuses. Raises JobFailure for a target or renderer that breaks its protocol.
     """
-    found = _prepare(spec, library, spec.tolerance)
+    prepared = _prepare(spec, library, spec.tolerance)
     load_targets(spec)
-    with named(f"renderer {found.renderer.name!r}"):
-        _ = found.renderer.plan  # one that cannot be made is known before the attack
-    return found
+    with named(f"renderer {prepared.renderer.name!r}"):
+        _ = prepared.renderer.plan  # one that cannot be made is known before the attack
+    return prepared
 
 
 def _prepare(spec: JobSpec, library: Library, tolerance: Tolerance) -> Prepared:
@@ -198,7 +198,11 @@ def check_analysis(spec: JobSpec) -> None:
             raise InvalidRequest(field, error.detail) from error
         if TARGETS[name].info.takes_question:
             raise InvalidRequest(field, f"{name} answers questions; an image is shown to it without one")
-    drawing = [name for name, one in RENDERERS.items() if one.base_renderer is None and name != spec.attack.renderer]
+    drawing = [
+        name
+        for name, declaration in RENDERERS.items()
+        if declaration.base_renderer is None and name != spec.attack.renderer
+    ]
     for index, name in enumerate(asked.renderers):
         field = f"analysis.transfer.renderers.{index}"
         if name == spec.attack.renderer:
@@ -232,7 +236,7 @@ def check_surrogate(spec: JobSpec) -> None:
 def _check_gradient(spec: JobSpec) -> None:
     name, method = spec.target.name, spec.attack.method
     if ATTACKS[method].needs_gradient and not registry.has_gradient(name):
-        others = ", ".join(other for other, one in ATTACKS.items() if not one.needs_gradient)
+        others = ", ".join(other for other, attack in ATTACKS.items() if not attack.needs_gradient)
         raise InvalidRequest(
             "attack.method",
             f"{method} needs gradients, and the scores of {name} have none with respect to the image "
@@ -251,7 +255,7 @@ def _check_materials(spec: JobSpec) -> None:
 def check_range(asked: Expectation, renderer: Renderer) -> None:
     """Raises InvalidRequest naming the range whose ends are beyond the renderer's bounds."""
     start = {group: value[None] for group, value in renderer.initial().items()}
-    for name in (one for one in VIEWS if getattr(asked, one)):
+    for name in (name for name in VIEWS if getattr(asked, name)):
         width = getattr(asked, name)
         for sign in (-1, 1):
             value: Any = 1 + sign * width if name == "distance" else sign * radians(width)
@@ -295,11 +299,11 @@ def surrogate(spec: JobSpec, labels: tuple[str, ...], settled: Settled) -> Surro
         raise InvalidRequest(SURROGATE, f"{name} answers questions; it is asked without one")
     if not registry.has_gradient(name):
         raise InvalidRequest(SURROGATE, f"the scores of {name} have no gradients ({registry.no_gradient(name)})")
-    goal, wanted = settled.goal, settled.goal.reach
-    if wanted is not None:
-        if labels[wanted] not in target.labels:
-            raise InvalidRequest(SURROGATE, f"{name} has no label {labels[wanted]!r}, which the goal is to reach")
-        return Surrogate(target, ResolvedGoal((), target.labels.index(labels[wanted])))
+    goal, reach = settled.goal, settled.goal.reach
+    if reach is not None:
+        if labels[reach] not in target.labels:
+            raise InvalidRequest(SURROGATE, f"{name} has no label {labels[reach]!r}, which the goal is to reach")
+        return Surrogate(target, ResolvedGoal((), target.labels.index(labels[reach])))
     names = [labels[index] for index in goal.leave]
     meshes = [thing.mesh for thing in spec.scene.objects]
     right = set(goal.leave) <= set(settled.truth)
@@ -393,7 +397,7 @@ def _scores(spec: JobSpec, scene: ResolvedScene, target: Target, verifier: Verif
 
 
 def _drawn_by(spec: JobSpec) -> tuple[Hashable, ...]:
-    """What an exact image depends on besides the scene."""
+    """Returns the choices on which an exact image depends besides the scene."""
     attack = spec.attack
     return attack.renderer, attack.base_renderer, tuple(moving_groups(attack)), spec.tolerance
 
@@ -405,7 +409,7 @@ MAX_KEPT_BYTES = 2**26
 MAX_MEASUREMENTS = 64
 """Measurements of a scene. Each choice of a renderer, of groups and of a tolerance has its own."""
 KEPT_SCENES: OrderedDict[str, dict[Hashable, Any]] = OrderedDict()
-"""What was measured, by the scene's digest; the scene of the last job is last."""
+"""Measurements by the scene's digest; the scene of the last job is last."""
 
 
 def recall(scene: ResolvedScene) -> ResolvedScene:

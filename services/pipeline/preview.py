@@ -13,14 +13,14 @@ from services.scenes.library import Library
 
 
 def preview(spec: JobSpec, library: Library) -> tuple[Preview, Tensor]:
-    """Returns what a job of this request would begin with, and the image of its scene, uint8 [H, W, 3].
+    """Returns the first answers and warnings of a job of this request, and the image of its scene, uint8 [H, W, 3].
 
     Raises InvalidRequest as `prepare` does, but for a plan that cannot be made.
     """
-    found = prepare_exactly(spec, library)
+    prepared = prepare_exactly(spec, library)
     load_targets(spec)
-    answers = found.task.first_answers(found.original.saved, found.original.logits, found.settled.goal)
-    return Preview(spec=found.spec, answers=answers, warnings=found.settled.warnings), found.original.saved
+    answers = prepared.task.first_answers(prepared.original.saved, prepared.original.logits, prepared.settled.goal)
+    return Preview(spec=prepared.spec, answers=answers, warnings=prepared.settled.warnings), prepared.original.saved
 
 
 def planned_cost(spec: JobSpec, library: Library) -> PlannedCost:
@@ -28,12 +28,12 @@ def planned_cost(spec: JobSpec, library: Library) -> PlannedCost:
 
     Raises InvalidRequest if the request cannot run, as `prepare` does.
     """
-    found = prepare(spec, library)
-    renderer, verifier = found.renderer, found.verifier
+    prepared = prepare(spec, library)
+    renderer, verifier = prepared.renderer, prepared.verifier
     start = {group: value[None] for group, value in renderer.initial().items() if group in renderer.plan.groups}
     image = _seconds(lambda: renderer.render(start))
-    query = _seconds(lambda: verifier.logits(found.original.saved))
-    attack = found.spec.attack
+    query = _seconds(lambda: verifier.logits(prepared.original.saved))
+    attack = prepared.spec.attack
     cost = Cost(
         steps=attack.steps,
         queries=attack.queries,
@@ -41,7 +41,7 @@ def planned_cost(spec: JobSpec, library: Library) -> PlannedCost:
         query_seconds=query,
         least_seconds=attack.steps * (image + query),
     )
-    return PlannedCost(plan=plan_of(found), cost=cost)
+    return PlannedCost(plan=plan_of(prepared), cost=cost)
 
 
 @torch.no_grad()

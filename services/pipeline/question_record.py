@@ -46,12 +46,12 @@ Text = Annotated[str, Field(max_length=MOST_TEXT)]
 
 def program(calls: tuple[Call, ...]) -> Program:
     """Returns the program of a request. Raises ValueError, which names the first invalid function by its number."""
-    found = Program.read([call.model_dump() for call in calls])
+    parsed = Program.read([call.model_dump() for call in calls])
     try:
-        found.check()
+        parsed.check()
     except InvalidProgram as error:
         raise ValueError(error.detail if error.node is None else f"{error.node}: {error.detail}") from error
-    return found
+    return parsed
 
 
 def with_scene(data: dict[str, Any]) -> dict[str, Any]:
@@ -60,11 +60,11 @@ def with_scene(data: dict[str, Any]) -> dict[str, Any]:
     Raises ValueError, which begins with the field that is wrong, and pydantic's error for fields of a wrong type.
     """
     if data.get("generate") is not None:
-        if given := [name for name in ("scene", "record") if data.get(name) is not None]:
-            raise InvalidRequest("generate", f"leave it out where {given[0]} is given")
-        made = _Asked.model_validate({"generate": data["generate"]}).generate
-        assert made is not None
-        data = {**data, "generate": None, "record": made.record()}
+        if others := [name for name in ("scene", "record") if data.get(name) is not None]:
+            raise InvalidRequest("generate", f"leave it out where {others[0]} is given")
+        generator = _Asked.model_validate({"generate": data["generate"]}).generate
+        assert generator is not None
+        data = {**data, "generate": None, "record": generator.record()}
     if data.get("record") is not None and data.get("scene") is None:
         record = _Asked.model_validate({"record": data["record"]}).record
         assert record is not None
@@ -134,10 +134,10 @@ def first_changed(attention: Sequence[Attended]) -> Attended | None:
 
     None if there is none. The functions before it attend to the same objects in both images.
     """
-    return next((one for one in attention if one.cell_change >= CHANGED), None)
+    return next((attended for attended in attention if attended.cell_change >= CHANGED), None)
 
 
 def most_changed(attention: Sequence[Attended]) -> Attended | None:
     """Returns the function with the largest `change`, the first of equal ones; None if no attention changed."""
-    most = max(attention, key=lambda one: one.change, default=None)
+    most = max(attention, key=lambda attended: attended.change, default=None)
     return most if most is not None and most.change > 0 else None

@@ -162,11 +162,11 @@ class QuestionTask:
         ends = [from_bytes(image)[None] for image in (before.saved, after.saved)]
         scores = [self._network.answers(end, self._texts)[0] for end in ends]
         masks: dict[str, Tensor] = {}
-        found = []
+        results = []
         for number, (question, goal) in enumerate(zip(self._questions, self._goals or (settled.goal,), strict=True)):
             first, last = (answer_to(of[number], ANSWERS, goal) for of in scores)
             right_after = question.right_after(renderer, stored)
-            found.append(
+            results.append(
                 QuestionResult(
                     **question.stated().model_dump(),
                     right_after=right_after,
@@ -185,7 +185,7 @@ class QuestionTask:
                 )
             )
         save_file(masks, out / ATTENTION)
-        return outcome_of(found), found
+        return outcome_of(results), results
 
     def _scores(self, image: Tensor) -> Tensor:
         """The scores [Q, 28] of all questions to an image, uint8 [H, W, 3]."""
@@ -206,22 +206,22 @@ def asked_questions(spec: JobSpec, target: Target) -> tuple[AskedQuestion, ...]:
     """
     check_scene(spec)
     choice = spec.target
-    given: list[tuple[str, str | tuple[Call, ...], str]] = []
+    entries: list[tuple[str, str | tuple[Call, ...], str]] = []
     if choice.question is not None and choice.asked is not None:
-        given.append((FIELD, choice.question, choice.asked))
-    for number, (one, asked) in enumerate(zip(choice.questions, choice.together, strict=True)):
-        given.append((f"{FIELD}s.{number}", one, asked))
+        entries.append((FIELD, choice.question, choice.asked))
+    for number, (question, asked) in enumerate(zip(choice.questions, choice.together, strict=True)):
+        entries.append((f"{FIELD}s.{number}", question, asked))
     if not target.takes_question:
-        if given:
-            raise InvalidRequest(given[0][0], f"{target.name} answers no questions; leave it out")
+        if entries:
+            raise InvalidRequest(entries[0][0], f"{target.name} answers no questions; leave it out")
         return ()
-    if not given:
+    if not entries:
         raise InvalidRequest(FIELD, f"is required: {target.name} answers questions")
     if not isinstance(target, ProgramTarget):
         if choice.questions:
             raise InvalidRequest(f"{FIELD}s", f"{target.name} takes one question")
         return ()
-    programs = [_program(target, asked, field) for field, _, asked in given]
+    programs = [_program(target, asked, field) for field, _, asked in entries]
     if spec.record is None:
         raise InvalidRequest(
             "record", f"{target.name} is asked about scenes after CLEVR; give the scene as `record` or `generate`"
@@ -229,15 +229,15 @@ def asked_questions(spec: JobSpec, target: Target) -> tuple[AskedQuestion, ...]:
     return tuple(
         AskedQuestion(
             field=field,
-            words=one if isinstance(one, str) else None,
+            words=question if isinstance(question, str) else None,
             asked=asked,
             program=program,
             kind=kind_asked(program),
-            right=_right(program, spec.record, field, one),
+            right=_right(program, spec.record, field, question),
             record=spec.record,
             scene=spec.scene,
         )
-        for (field, one, asked), program in zip(given, programs, strict=True)
+        for (field, question, asked), program in zip(entries, programs, strict=True)
     )
 
 
@@ -260,7 +260,7 @@ def goal_of(goal: Goal, question: AskedQuestion) -> Goal:
 
 def _names(labels: object) -> set[object]:
     listed = labels if isinstance(labels, tuple) else (labels,)
-    return {ANSWERS[one] if isinstance(one, int) and one < len(ANSWERS) else one for one in listed}
+    return {ANSWERS[label] if isinstance(label, int) and label < len(ANSWERS) else label for label in listed}
 
 
 def _program(target: ProgramTarget, asked: str, field: str) -> Program:
@@ -268,8 +268,8 @@ def _program(target: ProgramTarget, asked: str, field: str) -> Program:
         program = target.program(asked)
         other = None if program_in(asked) is not None else difference(asked, program)
         if other is not None:
-            said = f"the program made of it asks something else: {other}"
-            raise InvalidRequest("question", f"{said}; word it as CLEVR's questions are, or give its program")
+            detail = f"the program made of it asks something else: {other}"
+            raise InvalidRequest("question", f"{detail}; word it as CLEVR's questions are, or give its program")
     except InvalidProgram as error:
         raise InvalidRequest(field if error.node is None else f"{field}.{error.node}", error.detail) from error
     except InvalidRequest as error:
@@ -277,11 +277,11 @@ def _program(target: ProgramTarget, asked: str, field: str) -> Program:
     return program
 
 
-def _right(program: Program, record: SceneRecord, field: str, given: object) -> str:
+def _right(program: Program, record: SceneRecord, field: str, question: object) -> str:
     try:
         return answer(program, Facts.of(record))
     except IllPosed as error:
-        raise InvalidRequest(f"{field}.{error.node}" if isinstance(given, tuple) else field, error.detail) from error
+        raise InvalidRequest(f"{field}.{error.node}" if isinstance(question, tuple) else field, error.detail) from error
     except InvalidRequest as error:
         raise InvalidRequest(field, error.detail) from error
 
@@ -297,7 +297,7 @@ def check_scene(spec: JobSpec) -> None:
     scene, record = spec.scene, spec.record
     due = scene_of(record)
     same = len(scene.objects) == len(due.objects) and all(
-        _is_same(one, other) for one, other in zip(scene.objects, due.objects, strict=True)
+        _is_same(thing, other) for thing, other in zip(scene.objects, due.objects, strict=True)
     )
     if not same or not _is_seen_from(scene.camera, due.camera):
         raise InvalidRequest("scene", "its objects and camera are not those of `record`; leave it out")
@@ -310,23 +310,23 @@ def check_scene(spec: JobSpec) -> None:
         raise InvalidRequest("record", "its attributes and relations are not those of its objects")
 
 
-def _is_same(one: SceneObject, other: SceneObject) -> bool:
+def _is_same(thing: SceneObject, other: SceneObject) -> bool:
     fields = ("mesh", "material", "metallic", "roughness")
     vectors = ("color", "translation", "rotation")
     return (
-        all(getattr(one, name) == getattr(other, name) for name in fields)
-        and isclose(one.scale, other.scale, abs_tol=ROUNDING)
+        all(getattr(thing, name) == getattr(other, name) for name in fields)
+        and isclose(thing.scale, other.scale, abs_tol=ROUNDING)
         and all(
             isclose(a, b, abs_tol=ROUNDING)
             for name in vectors
-            for a, b in zip(getattr(one, name), getattr(other, name), strict=True)
+            for a, b in zip(getattr(thing, name), getattr(other, name), strict=True)
         )
     )
 
 
-def _is_seen_from(one: Camera, other: Camera) -> bool:
+def _is_seen_from(camera: Camera, other: Camera) -> bool:
     places = ("azimuth", "elevation", "distance", "field_of_view")
-    return all(isclose(getattr(one, name), getattr(other, name), abs_tol=ROUNDING) for name in places)
+    return all(isclose(getattr(camera, name), getattr(other, name), abs_tol=ROUNDING) for name in places)
 
 
 class Together:
@@ -369,7 +369,7 @@ def goals_together(goal: Goal, questions: Sequence[AskedQuestion]) -> tuple[Reso
             raise InvalidRequest(f"goal.{name}", "several questions have answers of their own; leave it out")
     return tuple(
         ResolvedGoal(
-            tuple(ANSWERS.index(one) for one in (KINDS[question.kind] if goal.leave_kind else (question.right,))),
+            tuple(ANSWERS.index(label) for label in (KINDS[question.kind] if goal.leave_kind else (question.right,))),
             None,
             goal.least_confidence,
         )
@@ -395,7 +395,7 @@ def _attended(
     out: Path,
 ) -> list[Attended]:
     """Writes the images of a question's attention, and adds its masks to `masks`."""
-    found = []
+    results = []
     both = [target.attention(end, question.asked) for end in ends]
     for node, (before, after) in enumerate(zip(*both, strict=True)):
         if before is None or after is None:
@@ -405,7 +405,7 @@ def _attended(
             masks[f"{number}.{node}.{when}"] = mask.contiguous()
             save_png(_grey(mask), out / name)
         change = (after[0].double() - before[0].double()).abs()
-        found.append(
+        results.append(
             Attended(
                 node=node,
                 before=names[0],
@@ -414,7 +414,7 @@ def _attended(
                 cell_change=float(change.max()),
             )
         )
-    return found
+    return results
 
 
 def _grey(mask: Tensor) -> Tensor:

@@ -31,19 +31,21 @@ class JobWarning(BaseModel):
 
 def warnings(first: str, confidence: float, truth: tuple[str, ...], right: bool) -> tuple[JobWarning, ...]:
     """Returns the warnings about a network's first answer, given the true labels and whether the answer is right."""
-    said = f"{first!r} ({confidence:.2f})"
-    found = []
+    answer = f"{first!r} ({confidence:.2f})"
+    result = []
     if not truth:
-        text = f"nobody has said what this scene shows; the network says {said}, and leaving that counts as “changed”"
-        found.append(JobWarning(code="truth-unknown", field="goal.truth", text=text))
+        text = f"nobody has said what this scene shows; the network says {answer}, and leaving that counts as “changed”"
+        result.append(JobWarning(code="truth-unknown", field="goal.truth", text=text))
     elif not right:
         true = " or ".join(map(repr, truth))
-        text = f"the network gets this scene wrong before the attack: it says {said}, not {true}; no success can follow"
-        found.append(JobWarning(code="already-wrong", field="goal.truth", text=text))
+        text = (
+            f"the network gets this scene wrong before the attack: it says {answer}, not {true}; no success can follow"
+        )
+        result.append(JobWarning(code="already-wrong", field="goal.truth", text=text))
     if confidence < LOW_CONFIDENCE:
-        text = f"the network is unsure of this scene before the attack: it says {said}"
-        found.append(JobWarning(code="low-confidence", field="scene", text=text))
-    return tuple(found)
+        text = f"the network is unsure of this scene before the attack: it says {answer}"
+        result.append(JobWarning(code="low-confidence", field="scene", text=text))
+    return tuple(result)
 
 
 class _Record(BaseModel):
@@ -245,7 +247,9 @@ def outcome(result: Result) -> dict[str, Any]:
         before_confidence=result.original.confidence,
         after=result.attacked.label,
         after_confidence=result.attacked.confidence,
-        answers=[(one.before.label, one.after.label) for one in result.questions] if len(result.questions) > 1 else [],
+        answers=[(question.before.label, question.after.label) for question in result.questions]
+        if len(result.questions) > 1
+        else [],
         float_perceptibility=result.float_perceptibility,
         perceptibility=result.perceptibility,
         perceptibility_limit=request["attack"].get("perceptibility"),

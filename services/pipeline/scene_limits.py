@@ -49,7 +49,7 @@ class SceneLimits:
         self.fixed = {group: _fixed(group, value) for group, value in initial.items()}
 
     def holds(self, perturbation: Parameters) -> bool:
-        """Whether a perturbation leaves the objects where objects can be, and what the question finds as it is."""
+        """Whether a perturbation leaves the objects at allowed places, and the question's results unchanged."""
         if not can_carry(self._renderer, tuple(perturbation)):
             return True
         scene, _, _ = described(self._scene, self._renderer, perturbation)
@@ -60,7 +60,7 @@ class SceneLimits:
         except InvalidRequest:
             return False
         read = (record, *_read_otherwise(record, scene))
-        return all(self._found(one) == self._outputs for one in read) and self._in_view(placed, rig)
+        return all(self._found(reading) == self._outputs for reading in read) and self._in_view(placed, rig)
 
     def _attacked(self, perturbation: Parameters, scene: Scene) -> tuple[SceneRecord, Rig]:
         """The record of the attacked scene, and its camera and lights."""
@@ -82,15 +82,15 @@ class SceneLimits:
         if self.holds(perturbation):
             return perturbation
         parts = list(_parts(perturbation))
-        found = {group: value.detach().clone() for group, value in perturbation.items()}
+        moved = {group: value.detach().clone() for group, value in perturbation.items()}
         for groups, row in parts:
             for group in groups:
-                found[group][row] = 0
+                moved[group][row] = 0
         for groups, row in parts:
-            share = self._share(found, perturbation, groups, row)
+            share = self._share(moved, perturbation, groups, row)
             for group in groups:
-                found[group][row] = share * perturbation[group][row].detach()
-        return found
+                moved[group][row] = share * perturbation[group][row].detach()
+        return moved
 
     def in_plan(self, plan: Plan) -> Plan:
         """Returns the plan with what the search leaves out."""
@@ -106,11 +106,11 @@ class SceneLimits:
         ]
         return plan.model_copy(update={"items": (*plan.items, *items)})
 
-    def _share(self, found: Parameters, whole: Parameters, groups: Sequence[str], row: int | slice) -> float:
+    def _share(self, moved: Parameters, whole: Parameters, groups: Sequence[str], row: int | slice) -> float:
         def allowed(share: float) -> bool:
             for group in groups:
-                found[group][row] = share * whole[group][row].detach()
-            return self.holds(found)
+                moved[group][row] = share * whole[group][row].detach()
+            return self.holds(moved)
 
         if allowed(1.0):
             return 1.0
@@ -144,11 +144,11 @@ _WHY = {
     "rotation": "objects stay upright",
     "color": "no colour that the question asks about becomes another, or nearly; the others are free",
 }
-"""What is said of a group in the plan."""
+"""Explanation of a group's limits in the plan."""
 
 
 def _fixed(group: str, value: Tensor) -> Tensor:
-    """Which coordinates of a group stay, bool of its shape."""
+    """Returns a mask of the coordinates of a group that are fixed, bool of its shape."""
     mask = torch.zeros(value.shape, dtype=torch.bool)
     if group == "illumination":
         mask[0] = True  # the ambient light is the first
@@ -161,7 +161,7 @@ def _fixed(group: str, value: Tensor) -> Tensor:
 
 
 def _parts(perturbation: Parameters) -> Iterator[tuple[tuple[str, ...], int | slice]]:
-    """What changes together: the camera; of each object its place and turn, and its colour."""
+    """Yields the parts that change together: the camera; of each object its place and turn; its colour."""
     if CAMERA in perturbation:
         yield (CAMERA,), slice(None)
     places = tuple(group for group in OF_OBJECTS if group in perturbation and group != "color")

@@ -63,8 +63,8 @@ def _validated(data: Any, names: Names | None) -> Attack:
         try:
             union.validate_python({**data, "method": method}, context=names)
         except ValidationError as others:
-            wrong = [one for one in others.errors() if close or not _may_be_anothers(one)]
-            items = [_again(one) for one in (*error.errors(), *wrong)]
+            wrong = [item for item in others.errors() if close or not _may_be_anothers(item)]
+            items = [_again(item) for item in (*error.errors(), *wrong)]
             raise ValidationError.from_exception_data(error.title, items) from error
         raise
 
@@ -72,7 +72,7 @@ def _validated(data: Any, names: Names | None) -> Attack:
 def _may_be_anothers(error: Any) -> bool:
     """Whether an error of an attack is of a field that only some methods have."""
     field = error["loc"][1] if len(error["loc"]) > 1 else ""
-    some = {name for one in ATTACKS.values() for name in one.model_fields}
+    some = {name for attack in ATTACKS.values() for name in attack.model_fields}
     return field in some - set(Attack.model_fields)
 
 
@@ -143,14 +143,14 @@ class TargetChoice(Model):
     @field_validator("questions")
     @classmethod
     def _valid_programs(cls, value: tuple[Any, ...]) -> Any:
-        for number, one in enumerate(value):
-            if isinstance(one, tuple):
+        for number, question in enumerate(value):
+            if isinstance(question, tuple):
                 try:
-                    program(one)
+                    program(question)
                 except ValueError as error:
                     node, colon, detail = str(error).partition(": ")
-                    said = f"{number}.{node}: {detail}" if colon else f"{number}: {error}"
-                    raise ValueError(said) from error
+                    message = f"{number}.{node}: {detail}" if colon else f"{number}: {error}"
+                    raise ValueError(message) from error
         return value
 
     @model_validator(mode="after")
@@ -219,8 +219,8 @@ class JobSpec(Model):
             if value is not None:
                 json.dumps(value.model_dump(mode="json"), ensure_ascii=False, allow_nan=False).encode()
         except (ValueError, RecursionError) as error:
-            said = "it has a text that is no Unicode, a number that is not finite, or is nested too deep"
-            raise ValueError(said) from error
+            detail = "it has a text that is no Unicode, a number that is not finite, or is nested too deep"
+            raise ValueError(detail) from error
         return value
 
     @field_validator("goal")
@@ -289,20 +289,20 @@ def asked_goal(goal: Goal, target: TargetInfo, labels: tuple[str, ...]) -> Asked
     Raises InvalidFields with every label that is not among the target's, and InvalidRequest if the label to reach is
     one to leave.
     """
-    same = tuple(frozenset(labels.index(one) for one in group if one in labels) for group in same_labels(target))
+    same = tuple(frozenset(labels.index(label) for label in group if label in labels) for group in same_labels(target))
     wrong: list[InvalidRequest] = []
 
-    def index(field: str, wanted: Label) -> frozenset[int]:
+    def index(field: str, label: Label) -> frozenset[int]:
         try:
-            return frozenset([_index(wanted, labels, field, target.name)])
+            return frozenset([_index(label, labels, field, target.name)])
         except InvalidRequest as error:
             wrong.append(error)
             return frozenset()
 
-    def looked_up(field: str, wanted: Labels | None) -> frozenset[int]:
-        if not isinstance(wanted, tuple):
-            return frozenset() if wanted is None else index(field, wanted)
-        return frozenset[int]().union(*(index(f"{field}.{i}", one) for i, one in enumerate(wanted)))
+    def looked_up(field: str, value: Labels | None) -> frozenset[int]:
+        if not isinstance(value, tuple):
+            return frozenset() if value is None else index(field, value)
+        return frozenset[int]().union(*(index(f"{field}.{i}", label) for i, label in enumerate(value)))
 
     truth = None if goal.truth is None else with_same(looked_up("goal.truth", goal.truth), same)
     leave = with_same(looked_up("goal.leave", goal.leave), same)
@@ -320,14 +320,14 @@ def with_same(labels: frozenset[int], groups: tuple[frozenset[int], ...]) -> fro
     return labels.union(*(group for group in groups if group & labels))
 
 
-def _index(wanted: str | int, labels: tuple[str, ...], field: str, target: str) -> int:
-    if isinstance(wanted, int):
-        if wanted >= len(labels):
-            raise InvalidRequest(field, f"{target} has labels 0 to {len(labels) - 1}, not {wanted}")
-        return wanted
-    if wanted not in labels:
-        raise InvalidRequest(field, f"{target} has no label {wanted!r}{did_you_mean(wanted, labels)}")
-    return labels.index(wanted)
+def _index(label: str | int, labels: tuple[str, ...], field: str, target: str) -> int:
+    if isinstance(label, int):
+        if label >= len(labels):
+            raise InvalidRequest(field, f"{target} has labels 0 to {len(labels) - 1}, not {label}")
+        return label
+    if label not in labels:
+        raise InvalidRequest(field, f"{target} has no label {label!r}{did_you_mean(label, labels)}")
+    return labels.index(label)
 
 
 def parse(data: object, names: Names | None = None) -> JobSpec:

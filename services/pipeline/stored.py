@@ -46,7 +46,7 @@ def save_perturbation(perturbation: Parameters, renderer: Renderer, path: Path) 
 def describe(perturbation: Parameters, renderer: Renderer) -> str:
     """JSON: for each group its unit, its axes and, where they have names, its coordinates in flat order."""
     declared = {group.name: group for group in RENDERERS[renderer.name].groups}
-    found = {
+    description = {
         group: {
             "unit": declared[group].unit,
             "axes": list(declared[group].shape),
@@ -55,7 +55,7 @@ def describe(perturbation: Parameters, renderer: Renderer) -> str:
         }
         for group in sorted(perturbation)
     }
-    return json.dumps(found, ensure_ascii=False)
+    return json.dumps(description, ensure_ascii=False)
 
 
 @dataclass(frozen=True)
@@ -68,10 +68,10 @@ class Stored:
 
     def check(self, initial: Parameters, groups: Sequence[str]) -> None:
         """Raises InvalidRequest("directory") unless the perturbation has these groups, with the shapes of `initial`."""
-        wanted = {group: list(initial[group].shape) for group in groups}
+        expected = {group: list(initial[group].shape) for group in groups}
         shapes = {group: list(value.shape) for group, value in self.perturbation.items()}
-        if shapes != wanted:
-            detail = f"its perturbation has the groups and shapes {shapes}, which are not {wanted} of its request"
+        if shapes != expected:
+            detail = f"its perturbation has the groups and shapes {shapes}, which are not {expected} of its request"
             raise InvalidRequest("directory", detail)
 
 
@@ -88,10 +88,10 @@ def read_stored(directory: Path) -> Stored:
         )
     except ValidationError as error:
         first, *others = error.errors(include_url=False, include_input=False)
-        said = f"{'.'.join(map(str, first['loc'])) or 'the file'}: {in_words(first)}"
+        detail = f"{'.'.join(map(str, first['loc'])) or 'the file'}: {in_words(first)}"
         more = f" (and {len(others)} more)" if others else ""
-        raise InvalidRequest("directory", f"{directory / RESULT} is no result: {said}{more}") from error
+        raise InvalidRequest("directory", f"{directory / RESULT} is no result: {detail}{more}") from error
     except (OSError, ValueError, SafetensorError) as error:
         missing = [name for name in (RESULT, PERTURBATION, IMAGE) if not (directory / name).is_file()]
-        said = f"there is no file {missing[0]}" if missing else str(error)  # safetensors does not say which
-        raise InvalidRequest("directory", f"{directory} is not the output of a finished job: {said}") from error
+        detail = f"there is no file {missing[0]}" if missing else str(error)  # safetensors does not say which
+        raise InvalidRequest("directory", f"{directory} is not the output of a finished job: {detail}") from error

@@ -84,9 +84,9 @@ def check(name: str, mesh: str, library: Library, report: Callable[[str], None] 
 @torch.no_grad()
 def _seconds(target: Target, images: torch.Tensor) -> float:
     """Seconds of the fastest of a few passes; the first pass of a network is slower and not counted."""
-    found = []
+    durations = []
     for _ in range(_REPEATS + 1):
         begun = time.perf_counter()
         target.logits(images)
-        found.append(time.perf_counter() - begun)
-    return min(found[1:])
+        durations.append(time.perf_counter() - begun)
+    return min(durations[1:])
