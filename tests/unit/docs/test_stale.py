@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks import stale
-from benchmarks.stale import DEPENDS, ROOT, SCENES, renderer_print
+from benchmarks.stale import ALEXNET, DEPENDS, IEP, LITE0, RESNET, ROOT, SCENES, network_print, renderer_print
 from services.rendering import color
 from services.scenes.library import Library
 from services.settings import Settings
@@ -65,3 +65,8 @@ def test_a_renderer_that_draws_otherwise_has_another_fingerprint(
     original = color.quantize
     monkeypatch.setattr(color, "quantize", lambda images: original(images + 1 / 255))
     assert renderer_print(renderer, library, SCENES[:1]) != before
+
+
+def test_every_shipped_network_has_a_fingerprint_of_its_own() -> None:
+    prints = [network_print(name) for name in (LITE0, ALEXNET, RESNET, IEP)]
+    assert len(set(prints)) == len(prints)
