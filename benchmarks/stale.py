@@ -214,7 +214,7 @@ def network_print(name: str) -> str:
 
     from services.attacks.problem import generator
     from services.targets import registry
-    from services.targets.protocol import QuestionTarget
+    from services.targets.probe import with_question
 
     target = registry.load(name, torch.float64)
     images = torch.cat(
@@ -228,10 +228,8 @@ def network_print(name: str) -> str:
             for size in (3, 8, 24, 80)
         ]
     ).permute(0, 2, 3, 1)
-    if isinstance(target, QuestionTarget):
-        target = target.asked(registry.card(name).example or "")
     with torch.no_grad():
-        scores = target.logits(images)
+        scores = with_question(target, registry.card(name).example).logits(images)
     return hashlib.sha256(rounded(scores).numpy().tobytes()).hexdigest()[:16]
 
 

@@ -39,7 +39,7 @@ def load(name: str, known: RegisteredTarget, dtype: torch.dtype) -> Target:
         size = "×".join(map(str, target.input_size))
         raise refused(name, f"has input_size {size}, but its card says {height}×{width}")
     images = _images(target).to(dtype)
-    asked = _asked(target, known.info.example)
+    asked = with_question(target, known.info.example)
     scores = _scores(name, asked, images)
     _check_scores(name, scores, listed)
     alone = _scores(name, asked, images[:1])
@@ -61,10 +61,11 @@ def has_gradient(target: Target, example: str | None = None) -> bool:
     if not target.differentiable:
         return False
     images = _images(target)[:1].requires_grad_()
-    return _asked(target, example).logits(images).requires_grad
+    return with_question(target, example).logits(images).requires_grad
 
 
-def _asked(target: Target, example: str | None) -> Target:
+def with_question(target: Target, example: str | None) -> Target:
+    """Returns the target, asked its card's example where it takes a question, or any question if its card has none."""
     return target.asked(example or ANY_QUESTION) if isinstance(target, QuestionTarget) else target
 
 
