@@ -13,7 +13,6 @@ from torch import Tensor
 
 from services.analysis.attribution import Tick, of_coordinates, of_subsets
 from services.analysis.minimal import minimal_change
-from services.analysis.physical import physical_changes
 from services.analysis.records import (
     Analyses,
     AnalysisRequest,
@@ -36,6 +35,7 @@ from services.pipeline.questions import asked_questions, bound
 from services.pipeline.spec import JobSpec, parse
 from services.pipeline.stored import read_stored
 from services.rendering.factory import build
+from services.rendering.physical_change import physical_changes
 from services.rendering.protocol import Parameters
 from services.rendering.torch_renderer.declaration import TORCH
 from services.scenes.image_file import other_size

@@ -17,7 +17,6 @@ from services.analysis import images
 from services.analysis.attribution import of_subsets
 from services.analysis.expectation import held_over
 from services.analysis.images import answer, beyond, of_float_images, of_groups, of_images
-from services.analysis.physical import changes_in_words
 from services.analysis.records import Answer
 from services.analysis.subsets import scored, subsets
 from services.attacks.leave_out import LeftOut, leave_out
@@ -34,7 +33,7 @@ from services.pipeline.result import BEST_SO_FAR, RESULT, AtEpsilon, JobWarning,
 from services.pipeline.spec import JobSpec
 from services.pipeline.stored import save_change
 from services.process import versions
-from services.rendering.physical_change import Change
+from services.rendering.physical_change import Change, changes_in_words
 from services.rendering.plan import Plan
 from services.scenes.library import Library
 from services.targets.info import TARGETS

@@ -14,12 +14,12 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor
 
 from services.analysis import images
-from services.analysis.physical import change_images
 from services.errors import InvalidRequest
 from services.pipeline.field_errors import in_words
 from services.pipeline.prepare import Prepared
 from services.pipeline.result import RESULT, Result
 from services.rendering.declaration import RENDERERS
+from services.rendering.physical_change import change_images
 from services.rendering.protocol import Parameters, Renderer
 
 PERTURBATION = "perturbation.safetensors"

@@ -107,12 +107,10 @@ class Declaration:
     """Default base renderer, for a renderer that attacks another renderer's image."""
     renderer: "str | type[Any] | None" = None
     """The class, or its location "module:class"."""
-    changes: str | None = None
-    """The location "module:function" of a function (scene, exact renderer, perturbation) that returns the perturbation
-    as a list of `PhysicalChange`: in degrees, centimetres and percent. None: the groups' units are all there is."""
     worded: str | None = None
-    """The location "module:function" of a function with the same arguments that returns the perturbation as a list of
-    `Change`: a sentence for each thing in the scene, and its numbers before and after. None: made of `changes`."""
+    """The location "module:function" of a function (scene, exact renderer, perturbation) that returns the perturbation
+    as a list of `Worded`: for each thing in the scene a sentence, its numbers before and after, and the sizes of its
+    changes in degrees, centimetres and percent. None: the groups' units are all there is."""
     drawn: str | None = None
     """The location "module:function" of a function (exact renderer, perturbation) that returns images of the change,
     uint8 [h, w, 3], by file name. None: it has none."""

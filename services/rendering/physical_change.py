@@ -1,8 +1,22 @@
-"""A perturbation in words of the scene: changes in degrees, centimetres and percent."""
+"""A perturbation in words of the scene: in degrees, centimetres and percent, in sentences, and as images.
 
-from collections.abc import Sequence
+Each renderer has the words for its own groups (`Declaration.worded`, `Declaration.drawn`).
+"""
+
+from collections.abc import Mapping, Sequence
+from pkgutil import resolve_name
+from typing import TYPE_CHECKING, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field
+
+from services.errors import named
+from services.rendering.declaration import RENDERERS
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from services.rendering.protocol import Renderer
+    from services.scenes.resolve import ResolvedScene
 
 
 class PhysicalChange(BaseModel):
@@ -63,6 +77,64 @@ class Change(BaseModel):
         description="of a material its reflectance, in 1/steradian, towards viewers in the plane of incidence of light "
         "at 45°, by the viewer's angle from the normal",
     )
+
+
+class Worded(NamedTuple):
+    """The change of one thing in words, and its sizes."""
+
+    change: Change
+    sizes: Sequence[PhysicalChange]
+
+
+def worded(scene: "ResolvedScene", renderer: "Renderer", perturbation: "Mapping[str, Tensor]") -> list[Worded]:
+    """What a perturbation changes in a scene, by group and by thing.
+
+    For a renderer that declares no words it is the largest change of a coordinate of each group, in the group's own
+    unit; the numbers before are then 0.
+    """
+    declared = RENDERERS[renderer.name]
+    if declared.worded is not None:
+        with named(f"renderer {renderer.name!r}"):
+            result: list[Worded] = resolve_name(declared.worded)(scene, renderer.exact(), perturbation)
+            return result
+    result = []
+    for name, value in perturbation.items():
+        group, largest = declared.group(name), float(value.flatten()[value.abs().argmax()])
+        measure = "largest change"
+        size = PhysicalChange(group=name, subject=group.words, measure=measure, value=largest, unit=group.unit)
+        sentence = f"{measure} {signed(largest)} ({group.unit})"
+        values = [from_zero(size, group.words)]
+        result.append(Worded(Change(group=name, subject=group.words, sentence=sentence, values=values), [size]))
+    return result
+
+
+def physical_changes(
+    scene: "ResolvedScene", renderer: "Renderer", perturbation: "Mapping[str, Tensor]"
+) -> list[PhysicalChange]:
+    """The sizes of the changes that a perturbation makes in a scene."""
+    return [size for thing in worded(scene, renderer, perturbation) for size in thing.sizes]
+
+
+def changes_in_words(
+    scene: "ResolvedScene", renderer: "Renderer", perturbation: "Mapping[str, Tensor]"
+) -> list[Change]:
+    """A sentence for each thing that a perturbation changes in a scene, and its numbers before and after."""
+    return [thing.change for thing in worded(scene, renderer, perturbation)]
+
+
+def change_images(renderer: "Renderer", perturbation: "Mapping[str, Tensor]") -> "dict[str, Tensor]":
+    """Images of what a perturbation changed, uint8 [h, w, 3], by file name; empty if the renderer declares none."""
+    declared = RENDERERS[renderer.name]
+    if declared.drawn is None:
+        return {}
+    with named(f"renderer {renderer.name!r}"):
+        images: dict[str, Tensor] = resolve_name(declared.drawn)(renderer.exact(), perturbation)
+        return images
+
+
+def from_zero(size: PhysicalChange, name: str) -> ChangedValue:
+    """The size of a change as a value of the thing `name` that was 0 before."""
+    return ChangedValue(name=f"{name}, {size.measure}", unit=size.unit, before=0.0, after=size.value)
 
 
 def number(value: float) -> str:

@@ -65,7 +65,6 @@ PYRENDER = Declaration(
     differentiable=False,
     method="zoo",
     renderer="services.rendering.pyrender_renderer.renderer:PyrenderRenderer",
-    changes="services.rendering.pyrender_renderer.words:changes",
     worded="services.rendering.pyrender_renderer.words:worded",
     varies=dict.fromkeys(("azimuth", "elevation", "roll", "distance"), "camera") | {"intensity": "illumination"},
     varied="services.rendering.pyrender_renderer.renderer:varied",

@@ -57,7 +57,6 @@ TORCH = Declaration(
     differentiable=True,
     method="fgsm",
     renderer="services.rendering.torch_renderer.renderer:TorchRenderer",
-    changes="services.rendering.torch_renderer.words:changes",
     drawn="services.rendering.torch_renderer.words:drawn",
     worded="services.rendering.torch_renderer.words:worded",
     varies={"intensity": "illumination"},

@@ -9,7 +9,16 @@ from math import degrees
 import torch
 from torch import Tensor
 
-from services.rendering.physical_change import Change, ChangedValue, ChangeImage, Curve, PhysicalChange, number, signed
+from services.rendering.physical_change import (
+    Change,
+    ChangeImage,
+    Curve,
+    PhysicalChange,
+    Worded,
+    from_zero,
+    number,
+    signed,
+)
 from services.rendering.protocol import Renderer
 from services.rendering.torch_renderer.dsbrdf import (
     COSINE_FLOOR,
@@ -27,68 +36,94 @@ from services.scenes.resolve import ResolvedScene
 CHANNELS = ("red", "green", "blue")
 
 
-def changes(
-    scene: ResolvedScene,  # noqa: ARG001 - the declaration's signature
-    renderer: Renderer,
-    perturbation: Mapping[str, Tensor],
-) -> list[PhysicalChange]:
-    """A perturbation of the renderer's initial values, by group."""
-    result: list[PhysicalChange] = []
+def worded(scene: ResolvedScene, renderer: Renderer, perturbation: Mapping[str, Tensor]) -> list[Worded]:
+    """A perturbation of the renderer's initial values in words, by group and by channel of the map or object.
+
+    The images of the map are listed with its first change.
+    """
+    initial = renderer.initial()
+    result: list[Worded] = []
     for group, change in perturbation.items():
         if group == "normals":
-            initial = renderer.initial()[group]
-            covered = (initial != 0).any(dim=-1)  # the angles of uncovered pixels are 0
-            result += normal_changes(initial, change, covered)
-        elif group == "illumination":
-            result += map_changes(group, "map", change)
-        elif group == "illumination_rgb":
-            for channel, values in zip(CHANNELS, change.unbind(-1), strict=True):
-                result += map_changes(group, f"map, {channel}", values)
+            result.append(normals(initial[group], change))
+        elif group in LIGHT_GROUPS:
+            first = not any(thing.change.group in LIGHT_GROUPS for thing in result)
+            images = images_of_map(*maps(initial, perturbation)) if first else []
+            result += light(group, change, images)
         elif group == "material":
-            result += material_changes(change)
+            names = object_names(scene.description, scene.titles)
+            result += [material(k, name, initial[group][k], change[k]) for k, name in enumerate(names)]
     return result
 
 
-def normal_changes(initial: Tensor, change: Tensor, covered: Tensor) -> Iterator[PhysicalChange]:
-    """Angles by which the normals turn, given angles [H, W, 2] and the mask of covered pixels, bool [H, W]."""
-    before, after = to_vectors(initial[covered].double()), to_vectors((initial + change)[covered].double())
-    angles = 2 * ((after - before).norm(dim=-1) / 2).clamp(max=1).asin()
-    for measure, value in (
-        ("root mean square of the angles", float(angles.square().mean().sqrt())),
-        ("largest angle", float(angles.max())),
-    ):
-        yield PhysicalChange(group="normals", subject="surface", measure=measure, value=degrees(value), unit="degrees")
+def normals(initial: Tensor, change: Tensor) -> Worded:
+    """Angles by which the normals of angles [H, W, 2] turn, at the pixels that a surface covers."""
+    angles = tilts(initial, change)
+    typical, largest = sizes = _sizes("normals", "surface", angles[~angles.isnan()], "angle", "degrees")
+    most = f"{number(largest.value)}°"
+    tilted = Change(
+        group="normals",
+        subject="surface normals",
+        sentence=f"tilted by {number(typical.value)}° in the root mean square, {most} at most",
+        values=[from_zero(size, "surface normals") for size in sizes],
+        images=[ChangeImage(file="normals-tilt.png", words=f"tilt of the normals, from 0 (violet) to {most} (yellow)")],
+    )
+    return Worded(tilted, sizes)
 
 
-def map_changes(group: str, subject: str, change: Tensor) -> Iterator[PhysicalChange]:
-    """Changes of the environment map's texels [rows, cols] in one channel or all, in percent of the map's mean
-    intensity."""
+def light(group: str, change: Tensor, images: list[ChangeImage]) -> Iterator[Worded]:
+    """Changes of the environment map's texels [rows, cols], or of those of each channel [rows, cols, 3], in percent of
+    the map's mean intensity. `images` are listed with the first."""
+    channels = [""] if group == "illumination" else [f", {channel}" for channel in CHANNELS]
     percent = 100 * change.double() / ILLUMINATION_MEAN
-    for measure, value in (
-        ("root mean square of the texels", percent.square().mean().sqrt()),
-        ("largest texel", percent.flatten()[percent.abs().argmax()]),
-    ):
-        yield PhysicalChange(
-            group=group, subject=subject, measure=measure, value=float(value), unit="% of its mean intensity"
+    for channel, texels in zip(channels, percent.reshape(-1, len(channels)).unbind(-1), strict=True):
+        subject = f"environment map{channel}"
+        typical, largest = sizes = _sizes(group, f"map{channel}", texels, "texel", "% of its mean intensity")
+        change_of_channel = Change(
+            group=group,
+            subject=subject,
+            sentence=f"its texels changed by {number(typical.value)} {typical.unit} in the root mean square, "
+            f"{signed(largest.value)} % at most",
+            values=[from_zero(size, subject) for size in sizes],
+            images=images,
         )
+        yield Worded(change_of_channel, sizes)
+        images = []
 
 
-def material_changes(change: Tensor) -> Iterator[PhysicalChange]:
-    """Largest relative changes of the lobes' κ and γ by object, given coefficients [objects, 3, 3, 2, 6].
+def _sizes(group: str, subject: str, values: Tensor, thing: str, unit: str) -> list[PhysicalChange]:
+    """The root mean square of values [n], and the one that is furthest from 0."""
+    largest = float(values[values.abs().argmax()])
+    return [
+        PhysicalChange(group=group, subject=subject, measure=measure, value=value, unit=unit)
+        for measure, value in (
+            (f"root mean square of the {thing}s", float(values.square().mean().sqrt())),
+            (f"largest {thing}", largest),
+        )
+    ]
+
+
+def material(index: int, name: str, initial: Tensor, change: Tensor) -> Worded:
+    """A change of the material [3, 3, 2, 6] of an object, with the curves of its reflectance: the largest relative
+    changes of its lobes' κ and γ.
 
     A Bernstein polynomial moves by no more than its coefficients, and they are logarithms.
     """
-    for index, thing in enumerate(change.double()):
-        for word, values in zip(("κ", "γ"), torch.unbind(thing, dim=-2), strict=True):
-            # A third (−67 %) is further off than double (+100 %) as a logarithm, and less in percent.
-            percent = 100 * torch.expm1(values.flatten() / MATERIAL_UNIT)
-            yield PhysicalChange(
-                group="material",
-                subject=f"object {index} {word}",
-                measure="largest change",
-                value=float(percent[percent.abs().argmax()]),
-                unit="%",
-            )
+    subject, sizes = f"material of {name}", []
+    for symbol, coefficients in zip(("κ", "γ"), change.double().unbind(-2), strict=True):
+        # A third (−67 %) is further off than double (+100 %) as a logarithm, and less in percent.
+        percent = 100 * torch.expm1(coefficients.flatten() / MATERIAL_UNIT)
+        thing, largest = f"object {index} {symbol}", float(percent[percent.abs().argmax()])
+        sizes.append(PhysicalChange(group="material", subject=thing, measure="largest change", value=largest, unit="%"))
+    kappa, gamma = sizes
+    of_lobes = Change(
+        group="material",
+        subject=subject,
+        sentence=f"its lobes' κ changed by {signed(kappa.value)} % at most, their γ by {signed(gamma.value)} %",
+        values=[from_zero(kappa, f"{subject}, κ"), from_zero(gamma, f"{subject}, γ")],
+        curves=lobe_curves(initial, change),
+    )
+    return Worded(of_lobes, sizes)
 
 
 MAP_WIDTH = 512
@@ -120,16 +155,8 @@ def drawn(renderer: Renderer, perturbation: Mapping[str, Tensor]) -> dict[str, T
     return images
 
 
-def images_of(subject: str, initial: Mapping[str, Tensor], perturbation: Mapping[str, Tensor]) -> list[ChangeImage]:
-    """The images of a changed subject, "surface normals" or "environment map", with words that give their scales."""
-    if subject == "surface normals":
-        largest = float(tilts(initial["normals"], perturbation["normals"]).nan_to_num().max())
-        return [
-            ChangeImage(
-                file="normals-tilt.png", words=f"tilt of the normals, from 0 (violet) to {number(largest)}° (yellow)"
-            )
-        ]
-    before, after = maps(initial, perturbation)
+def images_of_map(before: Tensor, after: Tensor) -> list[ChangeImage]:
+    """The images of a map whose intensities [rows, cols, 3] changed, with words that give their scales."""
     largest = 2 ** float(stops(before, after).abs().max())
     return [
         ChangeImage(file="map-before.png", words="intensities of the environment map before"),
@@ -212,58 +239,3 @@ def reflectances(material: Tensor) -> Tensor:
     theta_h, theta_d = (viewers - light).abs() / 2, (viewers + light).abs() / 2
     log_kappa, gamma = lobes(material.double() / MATERIAL_UNIT, basis(theta_d))
     return reflectance(theta_h.cos().clamp_min(COSINE_FLOOR).log(), log_kappa, gamma).sum(dim=1)
-
-
-WORDS = {
-    "normals": ("surface normals", "tilted by"),
-    "illumination": ("environment map", "its texels changed by"),
-    "illumination_rgb": ("environment map", "its texels changed by"),
-}
-"""The thing that each group changes, and the verb for its change."""
-
-
-def worded(scene: ResolvedScene, renderer: Renderer, perturbation: Mapping[str, Tensor]) -> list[Change]:
-    """A perturbation of the renderer's initial values in words, by group and by channel of the map or object.
-
-    The images of the map are listed with its first change.
-    """
-    initial = renderer.initial()
-    measured: dict[tuple[str, str], list[PhysicalChange]] = {}
-    for change in changes(scene, renderer, {group: perturbation[group] for group in WORDS if group in perturbation}):
-        measured.setdefault((change.group, change.subject), []).append(change)
-    result: list[Change] = []
-    for (group, subject), (typical, largest) in measured.items():
-        of, verb = WORDS[group]
-        name = of if subject in ("surface", "map") else f"{of}, {subject.removeprefix('map, ')}"
-        if typical.unit == "degrees":
-            sizes = f"{number(typical.value)}° in the root mean square, {number(largest.value)}° at most"
-        else:
-            sizes = f"{number(typical.value)} {typical.unit} in the root mean square, {signed(largest.value)} % at most"
-        values = [_value(change, name) for change in (typical, largest)]
-        shown = (
-            []
-            if any(of == earlier.subject.partition(",")[0] for earlier in result)
-            else images_of(of, initial, perturbation)
-        )
-        result.append(Change(group=group, subject=name, sentence=f"{verb} {sizes}", values=values, images=shown))
-    if "material" in perturbation:
-        names = object_names(scene.description, scene.titles)
-        result += map(material, names, initial["material"], perturbation["material"])
-    return result
-
-
-def material(thing: str, initial: Tensor, change: Tensor) -> Change:
-    """A change of the material [3, 3, 2, 6] of the object of that name, with the curves of its reflectance."""
-    kappa, gamma = material_changes(change[None])
-    name = f"material of {thing}"
-    return Change(
-        group="material",
-        subject=name,
-        sentence=f"its lobes' κ changed by {signed(kappa.value)} % at most, their γ by {signed(gamma.value)} %",
-        values=[_value(lobe_change, f"{name}, {symbol}") for lobe_change, symbol in ((kappa, "κ"), (gamma, "γ"))],
-        curves=lobe_curves(initial, change),
-    )
-
-
-def _value(change: PhysicalChange, name: str) -> ChangedValue:
-    return ChangedValue(name=f"{name}, {change.measure}", unit=change.unit, before=0.0, after=change.value)

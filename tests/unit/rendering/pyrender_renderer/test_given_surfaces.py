@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import torch
 
+from services.rendering.physical_change import physical_changes
 from services.rendering.pyrender_renderer.planner import both_sides
 from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
-from services.rendering.pyrender_renderer.words import changes
 from services.scenes.description import Scene
 from services.scenes.library import Library
 from services.scenes.mesh import FIT_RADIUS
@@ -139,7 +139,7 @@ def test_groups_have_no_coordinate_of_the_floor(library: Library) -> None:
     still = floored.exact().radiance(black)[0, -1] - floored.exact().radiance({})[0, -1]
     assert still.abs().max() == 0  # and keeps its colour
     perturbation = {"translation": torch.full((2, 3), 0.1, dtype=torch.float64)}
-    assert len(changes(resolve(scene(BALL, BALL, floor=UNDER), library), floored, perturbation)) == 2
+    assert len(physical_changes(resolve(scene(BALL, BALL, floor=UNDER), library), floored, perturbation)) == 2
 
 
 @pytest.mark.usefixtures("software_opengl")

@@ -8,8 +8,8 @@ import torch
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from services.analysis.physical import changes_in_words
 from services.rendering.factory import build
+from services.rendering.physical_change import changes_in_words
 from services.rendering.protocol import Renderer
 from services.scenes.description import Scene
 from services.scenes.resolve import ResolvedScene, resolve

@@ -9,9 +9,9 @@ import torch
 
 from services.errors import InvalidRequest
 from services.rendering.opengl.gbuffer import rasterise
+from services.rendering.physical_change import physical_changes
 from services.rendering.torch_renderer import planner
 from services.rendering.torch_renderer.renderer import TorchRenderer
-from services.rendering.torch_renderer.words import changes
 from services.scenes.description import Scene
 from services.scenes.library import Library
 from services.scenes.mesh import FIT_RADIUS
@@ -134,7 +134,7 @@ def test_a_floor_under_attacked_light_is_a_product_stored_once(
 def test_physical_changes_and_plans_leave_its_material_out(floored: TorchRenderer, library: Library) -> None:
     change = {"material": torch.full((1, 3, 3, 2, 6), 0.5)}
     scene = resolve(Scene.model_validate({"objects": [BALL], "floor": UNDER}), library)
-    assert {one.subject for one in changes(scene, floored, change)} == {"object 0 κ", "object 0 γ"}
+    assert {one.subject for one in physical_changes(scene, floored, change)} == {"object 0 κ", "object 0 γ"}
     with pytest.raises(ValueError, match="material"):
         floored.render({"material": torch.zeros(1, 2, 3, 3, 2, 6)})
 
