@@ -14,7 +14,7 @@ from api.warm_pool import NoneFree, TooSlow, Unavailable, WarmPool
 from services.access.caller import Caller
 from services.errors import InvalidRequest
 from services.export import ASSET
-from services.jobs.child import ChildDied, OutOfMemory
+from services.jobs.processes import ChildDied, OutOfMemory
 from services.names import Names
 from services.pipeline.campaign_spec import CampaignSpec
 from services.pipeline.check import Checked, check_names, check_size, placed, samples

@@ -37,12 +37,12 @@ from services.access.caller import Caller, OwnedAssets, Quotas
 from services.access.keys import AccessKeys, Sessions, check_listening, listen
 from services.device import check_device
 from services.errors import InvalidRequest
-from services.jobs import watchdog
+from services.jobs import processes
 from services.jobs.campaigns import CampaignService
-from services.jobs.child import WARM_PROCESSES
 from services.jobs.database import check_database, migrate
 from services.jobs.database import connect as connect_database
 from services.jobs.files import ArtifactStore, Housekeeping, Storage
+from services.jobs.processes import WARM_PROCESSES
 from services.jobs.queue import Queue
 from services.jobs.queue import connect as connect_redis
 from services.jobs.record import Record
@@ -179,10 +179,10 @@ def create_app(values: Settings) -> FastAPI:
 
 
 async def _show_life() -> None:
-    watchdog.started()
+    processes.say_started()
     while True:
-        watchdog.alive()
-        await asyncio.sleep(watchdog.SIGN_SECONDS)
+        processes.say_alive()
+        await asyncio.sleep(processes.LIFE_SECONDS)
 
 
 async def _migrate(engine: Engine, values: Settings) -> None:

@@ -21,9 +21,9 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from api.schemas import BadField
 from api.warm_pool import Unavailable
 from services.errors import InUse, InvalidRequest, QuotaExceeded, without_folders
+from services.jobs.database import outage_of
 from services.jobs.files import Damaged
 from services.jobs.jobs import KeyReused, QueueFull
-from services.jobs.outages import outage_of
 from services.logs import logger
 from services.pipeline.campaign_spec import CampaignSpec
 from services.pipeline.campaign_spec import named as campaign_fields

@@ -18,7 +18,8 @@ from api.problems import BadRequestField
 from api.schemas import JobView
 from api.state import ServicesDependency, names_of
 from services.errors import InvalidRequest
-from services.jobs.placement import Demand, Device, Priority
+from services.jobs.scheduler import Demand, Device
+from services.jobs.states import Priority
 from services.names import Names
 from services.strict import NESTED, is_nested_deeper
 

@@ -12,8 +12,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validat
 
 from services.analysis.records import RerenderingRequest
 from services.errors import without_folders
-from services.jobs.placement import Priority
-from services.jobs.states import CampaignState, JobKind, State, times_of
+from services.jobs.states import CampaignState, JobKind, Priority, State, times_of
 from services.pipeline.campaign_plan import ChosenView
 from services.pipeline.campaign_spec import CampaignSpec
 from services.pipeline.preview_record import Cost, JobPlan, Preview

@@ -14,9 +14,9 @@ from api.schemas import JobView
 from services.access.caller import Caller, Quotas
 from services.jobs.jobs import Key
 from services.jobs.models import Artifact, Job, JobKind
-from services.jobs.placement import Demand, Needs
 from services.jobs.queue import Queue
 from services.jobs.record import Record
+from services.jobs.scheduler import Demand, Needs
 from services.logs import logger
 from services.names import Names
 from services.pipeline.check import Checked, check_names

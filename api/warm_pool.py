@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from services.errors import InvalidFields, InvalidRequest, QuotaExceeded
-from services.jobs.child import Child, ChildDied, OutOfMemory
+from services.jobs.processes import Child, ChildDied, OutOfMemory
 from services.logs import logger
 from services.settings import Settings
 

@@ -24,8 +24,7 @@ import torch
 
 from benchmarks.report import RESULTS, save, shortest
 from client.settings import settings_to_run
-from services.jobs.child import ALLOCATOR
-from services.jobs.warm_up import warm_up
+from services.jobs.processes import ALLOCATOR, warm_up
 from services.pipeline.execute import Progress, execute
 from services.pipeline.prepare import prepare
 from services.pipeline.spec import JobSpec, parse

@@ -24,7 +24,7 @@ from benchmarks.report import RESULTS, save
 from benchmarks.views import right
 from client.settings import settings_to_run
 from services.attacks.problem import AttackProblem, evaluate
-from services.jobs.child import ALLOCATOR
+from services.jobs.processes import ALLOCATOR
 from services.pipeline.prepare import prepare
 from services.pipeline.spec import parse
 from services.rendering.opengl import context

@@ -34,8 +34,7 @@ from api.schemas import (
     Uploaded,
     ViewList,
 )
-from services.jobs.placement import Priority
-from services.jobs.states import CampaignState, State
+from services.jobs.states import CampaignState, Priority, State
 from services.pipeline.campaign_plan import CampaignResult
 from services.pipeline.campaign_spec import CampaignSpec
 from services.pipeline.spec import JobSpec

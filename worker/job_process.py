@@ -19,15 +19,14 @@ from services import disk
 from services.analysis.images import png
 from services.device import device
 from services.errors import Cancelled, InvalidRequest, JobFailure, out_of_memory, summary
-from services.jobs.child import connect, memory_limit, more_than, reply, requests
 from services.jobs.database import connect as connect_database
+from services.jobs.database import outage_of
 from services.jobs.files import ArtifactStore, Damaged, Storage, WorkingFiles, media_type
 from services.jobs.leases import Attempt, Standing
 from services.jobs.models import Artifact, Job, JobKind
-from services.jobs.outages import outage_of
-from services.jobs.placement import Abilities
+from services.jobs.processes import connect, give_way, memory_limit, more_than, reply, requests, warm_up
 from services.jobs.record import Record
-from services.jobs.warm_up import give_way, warm_up
+from services.jobs.scheduler import Abilities
 from services.logs import bound, configure, logger
 from services.pipeline.analyse import decode_image, rerender_image
 from services.pipeline.campaign_plan import View

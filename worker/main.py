@@ -13,10 +13,9 @@ from services.jobs.campaigns import Feeder
 from services.jobs.database import connect as connect_database
 from services.jobs.database import migrate
 from services.jobs.files import ArtifactStore, Housekeeping
-from services.jobs.queue import Queue
+from services.jobs.queue import Queue, reconcile
 from services.jobs.queue import connect as connect_redis
 from services.jobs.record import Record
-from services.jobs.scheduler import reconcile
 from services.jobs.uploads import DeletedAssets
 from services.logs import configure, logger
 from services.process import use

@@ -21,14 +21,15 @@ from rq.utils import now
 from rq.worker_registration import clean_worker_registry
 from sqlalchemy.exc import SQLAlchemyError
 
-from services.jobs import watchdog
-from services.jobs.child import Child, ChildDied, OutOfMemory
+from services.jobs import processes
 from services.jobs.database import connect as connect_database
 from services.jobs.files import ArtifactStore, Storage
 from services.jobs.leases import Attempt, Standing
-from services.jobs.placement import NOTHING, Abilities, Priority
+from services.jobs.processes import Child, ChildDied, OutOfMemory
 from services.jobs.queue import ANSWER_SECONDS, HEARTBEAT_SECONDS, Queue, connect, priority_of, queue_name
 from services.jobs.record import Record
+from services.jobs.scheduler import NOTHING, Abilities
+from services.jobs.states import Priority
 from services.logs import configure, logger
 from services.settings import Settings
 
@@ -97,7 +98,7 @@ class Runner:
         child = self._child = Child("worker.job_process", self._settings)
         try:
             while (ready := child.receive(POLL_SECONDS)) is None:
-                watchdog.alive()
+                processes.say_alive()
                 hangs = child.idle_seconds() > self._settings.stall_seconds
                 if self._stopping or hangs or time.monotonic() - started > START_SECONDS:
                     self.close()
@@ -165,7 +166,7 @@ class Runner:
         child.send({"job": attempt.job_id, "attempt": attempt.number})
         while (answer := child.receive(POLL_SECONDS)) is None:
             now = time.monotonic()
-            watchdog.alive()
+            processes.say_alive()
             if self._stopping:
                 self.close()
                 self._record.leases.give_back(attempt)
@@ -205,7 +206,7 @@ class Runner:
         """Queues a job again whose attempt was ended by an outage. It counts only if the outage cannot be seen."""
         unseen = self.usable()
         while not self._stopping:
-            watchdog.alive()
+            processes.say_alive()
             try:
                 if unseen:
                     self._record.leases.lose(attempt, f"it met an outage ({outage})")
@@ -250,13 +251,13 @@ class JobWorker(SimpleWorker):  # type: ignore[misc]
 
     def heartbeat(self, timeout: int | None = None, pipeline: Any = None) -> None:
         """Sends RQ's heartbeat, and records that this worker is alive."""
-        watchdog.alive()
+        processes.say_alive()
         super().heartbeat(timeout, pipeline)
         self._queue.alive(self.name, self._runner.abilities)
 
     def register_death(self) -> None:
         """Records that this worker has ended."""
-        watchdog.alive()
+        processes.say_alive()
         super().register_death()
         self._queue.gone(self.name)
 
@@ -305,7 +306,7 @@ def _work(runner: Runner, name: str, redis_url: str) -> None:
     """Runs jobs until the worker is stopped or Redis does not answer. The name must be new each time, since Redis may
     still know the worker from before.
     """
-    watchdog.alive()
+    processes.say_alive()
     try:
         JobWorker(runner, name=name, connection=connect(redis_url)).work(logging_level="WARNING")
     except RedisError as error:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from services.confinement import die_with_parent
-from services.jobs import watchdog
+from services.jobs import processes
 from services.logs import logger
 
 POLL_SECONDS = 0.1
@@ -36,7 +36,7 @@ log = logger(__name__)
 class Program:
     """A program to keep running. `command()` is called before each start, and `ended()` after each end.
 
-    A program that hangs is killed. Either it sends signs of life (`services.jobs.watchdog`), or it is asked by
+    A program that hangs is killed. Either it sends signs of life (`services.jobs.processes`), or it is asked by
     `answers()`.
     """
 
@@ -55,7 +55,7 @@ class Program:
     process: "subprocess.Popen[bytes] | None" = field(default=None, init=False)
     _started: float = field(default=0.0, init=False)
     _wait: float = field(default=0.0, init=False)
-    _listener: watchdog.Listener | None = field(default=None, init=False)
+    _listener: processes.Listener | None = field(default=None, init=False)
     _asked: float = field(default=0.0, init=False)
     _silent: float = field(default=0.0, init=False)
     _heard: bool = field(default=False, init=False)
@@ -98,7 +98,7 @@ class Program:
             process.kill()
 
     def _start(self) -> None:
-        self._listener = watchdog.Listener()
+        self._listener = processes.Listener()
         self._heard, self._silent, self._asked = False, 0.0, time.monotonic()
         self.process = subprocess.Popen(
             list(self.command()),
@@ -126,10 +126,10 @@ class Supervisor:
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, lambda *_: self._stop.set())
         due = time.monotonic()
-        watchdog.started()
+        processes.say_started()
         try:
             while not self._stop.is_set():
-                watchdog.alive()
+                processes.say_alive()
                 for program in self._programs:
                     program.keep_running()
                 if time.monotonic() >= due:

@@ -18,8 +18,9 @@ from api.state import Services, ServicesDependency, names_of, no_such
 from services.access.caller import Caller
 from services.attacks.attack import ATTACKS
 from services.errors import InvalidRequest
-from services.jobs.child import WARM_PROCESSES
-from services.jobs.placement import Demand, Priority
+from services.jobs.processes import WARM_PROCESSES
+from services.jobs.scheduler import Demand
+from services.jobs.states import Priority
 from services.names import Names
 from services.pipeline.spec import JobSpec, problems
 from services.rendering.declaration import RENDERERS

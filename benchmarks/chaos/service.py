@@ -15,7 +15,7 @@ from typing import Protocol
 import psutil
 
 from benchmarks.postgresql import Server
-from services.jobs.watchdog import Listener
+from services.jobs.processes import Listener
 from services.settings import Settings
 
 START_SECONDS = 60.0

@@ -129,7 +129,7 @@ def keep_memory() -> None:
     import os
     import sys
 
-    from services.jobs.child import ALLOCATOR
+    from services.jobs.processes import ALLOCATOR
 
     if not ALLOCATOR.keys() <= os.environ.keys():
         os.execve(sys.executable, [sys.executable, "-m", "client", *sys.argv[1:]], os.environ | ALLOCATOR)

@@ -22,8 +22,8 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from services import disk
 from services.blobs import blobs
+from services.jobs.database import DISK_FULL, outage_of
 from services.jobs.leases import Attempt
-from services.jobs.outages import DISK_FULL, outage_of
 from services.jobs.record import Record
 from services.jobs.uploads import DeletedAssets
 from services.logs import logger

@@ -20,7 +20,7 @@ from services.jobs.database import Database, now
 from services.jobs.job_list import listed
 from services.jobs.leases import change_state, lock, story
 from services.jobs.models import Artifact, Campaign, CampaignJob, Event, IdempotencyKey, Job, JobKind, State
-from services.jobs.placement import NO_DEMAND, Demand, targets_of
+from services.jobs.scheduler import NO_DEMAND, Demand, targets_of
 from services.jobs.uploads import check_held, refer_from_job, titles, uploads_of
 from services.pipeline.check import check_meshes
 from services.pipeline.result import JobWarning

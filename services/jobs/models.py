@@ -26,11 +26,10 @@ from sqlalchemy import (
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 from sqlalchemy.sql.elements import ColumnElement
 
-from services.jobs.placement import Priority
 from services.jobs.states import CampaignState as CampaignState
 from services.jobs.states import JobKind as JobKind
+from services.jobs.states import Priority, times_of
 from services.jobs.states import State as State
-from services.jobs.states import times_of
 
 
 class UtcTime(TypeDecorator[datetime]):
@@ -116,7 +115,7 @@ class Job(Base):
 
     priority: Mapped[Priority] = mapped_column(default=Priority.NORMAL, server_default="normal")
     needs: Mapped[str] = mapped_column(Text)
-    """Requirements on the worker that runs it (services.jobs.placement.Needs.text)."""
+    """Requirements on the worker that runs it (services.jobs.scheduler.Needs.text)."""
     waiting: Mapped[str | None] = mapped_column(Text)
     """Reason why none of the live workers takes the queued job; None if one of them can."""
 
@@ -275,7 +274,7 @@ class Campaign(Base):
     failure: Mapped[str | None] = mapped_column(Text)
     """Reason why the campaign cannot go on."""
     demand: Mapped[dict[str, Any] | None]
-    """Demands of its jobs on the queue (services.jobs.placement.Demand)."""
+    """Demands of its jobs on the queue (services.jobs.scheduler.Demand)."""
     view_count: Mapped[int]
     views: Mapped[list[dict[str, Any]] | None] = mapped_column(deferred=True)
     """Every view, with the first answer and why it is not attacked (services.pipeline.campaign_plan.ChosenView)."""

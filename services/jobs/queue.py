@@ -15,7 +15,8 @@ from redis import Redis
 from rq.job import Job as Bell
 
 from services.errors import InvalidRequest
-from services.jobs.placement import NOTHING, Abilities, Priority
+from services.jobs.scheduler import NOTHING, Abilities, Scheduler, why_waiting
+from services.jobs.states import Priority
 
 SETTING = "SCENE_ATTACK_REDIS_URL"
 NAME = "scene-attack"
@@ -100,3 +101,20 @@ class Queue:
             with suppress(ValueError, RecursionError):  # what somebody planted
                 abilities.append(Abilities.of(json.loads(message or b"")))
         return abilities
+
+
+def reconcile(scheduler: Scheduler, queue: Queue) -> None:
+    """Records why queued jobs wait, and rings where a live worker can run one of them. Raises RedisError.
+
+    There are then as many bells as workers: one that cannot run the job may answer first, and drops its bell.
+    """
+    workers = queue.workers()
+    priorities: set[Priority] = set()
+    for waiting in scheduler.waiting():
+        why = why_waiting(waiting.needs, workers)
+        if why != waiting.why:
+            scheduler.explain(waiting, why)
+        if why is None:
+            priorities.add(waiting.priority)
+    for priority in priorities:
+        queue.ring(priority, len(workers) - queue.bells(priority))

@@ -1,4 +1,4 @@
-"""The states of jobs and campaigns, and the kinds of jobs."""
+"""The states of jobs and campaigns, and the kinds and priorities of jobs."""
 
 from datetime import datetime
 from enum import StrEnum
@@ -53,3 +53,11 @@ class JobKind(StrEnum):
     ATTACK = "attack"
     RERENDERING = "rerendering"
     SELECTION = "selection"
+
+
+class Priority(StrEnum):
+    """The order in which jobs are taken: those of a higher priority first, and within one the owners in turn."""
+
+    HIGH = "high"
+    NORMAL = "normal"
+    LOW = "low"

@@ -14,10 +14,9 @@ from services.errors import InvalidRequest, JobFailure, out_of_memory
 from services.export import ASSET, BUNDLE
 from services.export.bundle import read_finished, write_bundle, zipped
 from services.export.glb import asset_glb
-from services.jobs.child import OUT_OF_MEMORY, connect, reply, requests
+from services.jobs.database import outage_of
 from services.jobs.files import ArtifactStore, Damaged
-from services.jobs.outages import outage_of
-from services.jobs.warm_up import CHECKING, give_way, warm_up
+from services.jobs.processes import CHECKING, OUT_OF_MEMORY, connect, give_way, reply, requests, warm_up
 from services.logs import configure, logger
 from services.pipeline.prepare import prepare
 from services.pipeline.preview import planned_cost, preview

@@ -2,9 +2,9 @@
 
 import pytest
 
-from services.jobs.placement import Demand, Needs, Priority
 from services.jobs.record import Record
-from services.jobs.scheduler import Waiting
+from services.jobs.scheduler import Demand, Needs, Waiting
+from services.jobs.states import Priority
 from tests.unit.api.dashboard_records import SPEC, add, start
 from tests.unit.api.test_dashboard_pages import Tags, anyio_backend, get, record
 

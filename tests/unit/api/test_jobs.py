@@ -9,7 +9,7 @@ from httpx import Client
 from api.state import Services
 from api.warm_pool import TooSlow
 from services.jobs.models import Job
-from services.jobs.placement import Priority
+from services.jobs.states import Priority
 from tests.processes import command_line
 from tests.unit.api.conftest import SPHERE
 from tests.unit.jobs.records import attacks

@@ -10,7 +10,7 @@ from api.checks import Checks
 from api.warm_pool import MOST_OPEN, NoneFree, TooSlow, Unavailable, WarmPool
 from services.access.caller import KEYLESS
 from services.errors import InvalidRequest, QuotaExceeded
-from services.jobs.child import ChildDied, OutOfMemory
+from services.jobs.processes import ChildDied, OutOfMemory
 from services.names import Names
 from services.settings import Settings
 from tests.unit.jobs.small import spec

@@ -10,7 +10,7 @@ from typing import NamedTuple
 from unittest.mock import patch
 
 from client.__main__ import main
-from services.jobs.child import ALLOCATOR
+from services.jobs.processes import ALLOCATOR
 
 
 class Done(NamedTuple):

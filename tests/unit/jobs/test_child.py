@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from services.jobs import child as module
-from services.jobs.child import Child, ChildDied, OutOfMemory
+from services.jobs import processes as module
+from services.jobs.processes import Child, ChildDied, OutOfMemory
 from services.settings import Settings
 
 pytestmark = pytest.mark.slow
@@ -77,7 +77,7 @@ def test_a_child_that_takes_no_request_is_killed(child: Child, monkeypatch: pyte
 @pytest.mark.parametrize("doing", ["nothing", "hang", "stop"])
 def test_it_does_not_outlive_a_parent_that_is_killed(doing: str) -> None:
     script = f"""
-from services.jobs.child import Child
+from services.jobs.processes import Child
 from services.settings import Settings
 child = Child({ECHO!r}, Settings())
 child.receive(30)

@@ -6,13 +6,13 @@ import sys
 
 import pytest
 
-from services.jobs.warm_up import AUTOGROUP, NICENESS
+from services.jobs.processes import AUTOGROUP, NICENESS
 
 pytestmark = pytest.mark.slow
 
 SCRIPT = f"""
 import os
-from services.jobs.warm_up import give_way
+from services.jobs.processes import give_way
 give_way()
 print(os.nice(0))
 print(open({str(AUTOGROUP)!r}).read() if os.path.exists({str(AUTOGROUP)!r}) else "")

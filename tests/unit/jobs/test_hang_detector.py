@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from services.jobs.child import LONGEST_GAP, SIGN_SECONDS, HangDetector, processor_seconds
+from services.jobs.processes import LONGEST_GAP, SIGN_SECONDS, HangDetector, processor_seconds
 
 pytestmark = pytest.mark.slow
 

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from services.jobs import child as module
-from services.jobs.child import LEAST_MEMORY, MOST_MEMORY, REST_BYTES, machine_memory, memory_limit
+from services.jobs import processes as module
+from services.jobs.processes import LEAST_MEMORY, MOST_MEMORY, REST_BYTES, machine_memory, memory_limit
 from services.scenes.isolated_reading import READING_BYTES
 from services.settings import Settings
 

@@ -17,9 +17,8 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from services.disk import replacing
 from services.disk import write as write_file
-from services.jobs.database import be_patient, connect, migrate
+from services.jobs.database import Outage, be_patient, connect, migrate, outage_of
 from services.jobs.files import ArtifactStore, Storage
-from services.jobs.outages import Outage, outage_of
 from services.jobs.record import Record
 from services.settings import Settings
 from tests.postgresql import free_port

@@ -6,10 +6,10 @@ import pytest
 
 from services.jobs.leases import Attempt
 from services.jobs.models import Job
-from services.jobs.placement import ANY_WORKER, Abilities, Demand, Needs, Priority, targets_of, why_waiting
-from services.jobs.queue import NAME, Queue, connect
+from services.jobs.queue import NAME, Queue, connect, reconcile
 from services.jobs.record import Record
-from services.jobs.scheduler import reconcile
+from services.jobs.scheduler import ANY_WORKER, Abilities, Demand, Needs, targets_of, why_waiting
+from services.jobs.states import Priority
 from services.pipeline.spec import parse
 from tests.unit.jobs.conftest import Clock
 from tests.unit.jobs.records import SPEC

@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 from redis import exceptions
 
-from services.jobs.placement import Priority
 from services.jobs.queue import Queue, connect
+from services.jobs.states import Priority
 from tests import redis_over_tcp
 from tests.redis_over_tcp import QUOTED
 

@@ -4,8 +4,8 @@ import pytest
 
 from services.errors import InvalidRequest, JobFailure
 from services.jobs import warm_process
-from services.jobs.child import OUT_OF_MEMORY
 from services.jobs.files import ArtifactStore
+from services.jobs.processes import OUT_OF_MEMORY
 from services.jobs.warm_process import answer
 from services.pipeline.execute import execute
 from services.pipeline.prepare import plan as plan_of_job

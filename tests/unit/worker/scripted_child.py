@@ -3,7 +3,7 @@
 import os
 import signal
 
-from services.jobs.child import connect, reply, requests
+from services.jobs.processes import connect, reply, requests
 from services.settings import Settings
 
 if __name__ == "__main__":

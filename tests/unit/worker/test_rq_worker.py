@@ -9,8 +9,9 @@ import rq
 from redis import Redis
 from rq import Callback, Retry
 
-from services.jobs.placement import NOTHING, Abilities, Priority
 from services.jobs.queue import Queue, connect, queue_name
+from services.jobs.scheduler import NOTHING, Abilities
+from services.jobs.states import Priority
 from services.settings import Settings
 from worker.rq_worker import JobWorker, Runner
 

@@ -10,12 +10,12 @@ from typing import Any
 import pytest
 from sqlalchemy.exc import InternalError
 
-from services.jobs.child import Child
 from services.jobs.database import connect, migrate
 from services.jobs.leases import Attempt, Standing
 from services.jobs.models import Job, State
-from services.jobs.placement import Priority
+from services.jobs.processes import Child
 from services.jobs.record import Record
+from services.jobs.states import Priority
 from services.settings import Settings
 from tests.unit.jobs.records import add, start
 from worker import rq_worker

@@ -108,8 +108,8 @@ def test_what_hangs_is_killed_and_started_again(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(module, "ASK_SECONDS", 0.0)
     script = """
 import os, signal
-from services.jobs import watchdog
-watchdog.alive()
+from services.jobs import processes
+processes.say_alive()
 os.kill(os.getpid(), signal.SIGSTOP)
 """
     ends: list[int] = []

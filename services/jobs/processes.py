@@ -1,7 +1,11 @@
-"""A child process that stays warm, answers requests over a pipe, and never outlives its parent.
+"""The warm processes of the service: a child that answers requests over a pipe and never outlives its parent, its
+start-up, which is the same for all that render and classify, and the signs of life of programs.
 
-It is spawned as a fresh interpreter, because a fork hangs after its parent has used OpenGL or torch. A message is a
-JSON object. The parent limits its memory, so that all processes together fit the machine, and notices if it hangs.
+A child is spawned as a fresh interpreter, because a fork hangs after its parent has used OpenGL or torch. A message is
+a JSON object. The parent limits its memory, so that all processes together fit the machine, and notices if it hangs.
+
+A program says that it is alive from the loop whose standstill would be a fault, in the protocol of systemd (sd_notify),
+to the one that keeps it running. It says nothing where no one listens.
 """
 
 import json
@@ -9,6 +13,7 @@ import os
 import re
 import resource
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -21,7 +26,8 @@ from queue import SimpleQueue
 from threading import Thread, Timer
 from typing import Any
 
-from services.confinement import die_with_parent
+from services.confinement import die_with_parent, forbid_new_privileges
+from services.pipeline.spec import DEFAULT_TARGET
 from services.scenes.isolated_reading import READING_BYTES
 from services.settings import Settings
 
@@ -271,3 +277,93 @@ def machine_memory(limit: Path = Path("/sys/fs/cgroup/memory.max")) -> int:
         return min(physical, int(limit.read_text()))
     except (OSError, ValueError):  # there is no control group, or it has no limit ("max")
         return physical
+
+
+LIFE_SECONDS = 1.0
+"""Shortest time between two signs."""
+
+_said_alive = float("-inf")
+
+
+def say_started() -> None:
+    """Says that the program has started."""
+    _notify("READY=1")
+
+
+def say_alive() -> None:
+    """Says that the program is alive; most calls within a second of the last one do nothing."""
+    global _said_alive
+    now = time.monotonic()
+    if now - _said_alive >= LIFE_SECONDS:
+        _said_alive = now
+        _notify("WATCHDOG=1")
+
+
+def _notify(message: str) -> None:
+    address = os.environ.get("NOTIFY_SOCKET", "")
+    if address:
+        # A listener that does not listen must not stop the program.
+        with suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK) as sender:
+            sender.sendto(message.encode(), "\0" + address[1:] if address.startswith("@") else address)
+
+
+class Listener:
+    """Hears a program's signs of life. Its `environ` tells the program where to send them."""
+
+    def __init__(self) -> None:
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
+        self._socket.bind("")  # the kernel chooses an abstract name
+        name = self._socket.getsockname()
+        assert isinstance(name, bytes)
+        self.environ = {"NOTIFY_SOCKET": "@" + name[1:].decode()}
+
+    def heard(self) -> bool:
+        """Whether there was a sign since the last call."""
+        heard = False
+        with suppress(BlockingIOError):
+            while self._socket.recv(4096):
+                heard = True
+        return heard
+
+    def close(self) -> None:
+        """Stops listening."""
+        self._socket.close()
+
+
+NICENESS = 10
+"""Niceness of job processes. One of niceness 0 gets about nine times as much processor time: the API still answers."""
+CHECKING = 5
+"""Niceness of the processes that check and preview requests: before jobs, and after the API."""
+AUTOGROUP = Path("/proc/self/autogroup")
+
+
+def warm_up(values: Settings) -> str:
+    """Sets up the process, limits its memory, forbids new privileges and core files, sets torch's threads, loads the
+    default network and opens the OpenGL context.
+
+    Returns the name of the OpenGL backend.
+    """
+    import torch  # the API reads this module and must load no torch
+
+    from services.pipeline.extensions import log_extensions, set_up
+    from services.rendering.opengl.context import gl_backend
+    from services.targets import registry
+
+    set_up(values)
+    limit_memory(values)
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    forbid_new_privileges()
+    torch.set_num_threads(values.threads)
+    log_extensions()
+    registry.load(DEFAULT_TARGET)
+    return gl_backend()
+
+
+def give_way(niceness: int = NICENESS) -> None:
+    """Lets processes of ordinary niceness go first, from now on. Alone on the machine, this one runs as fast as before.
+
+    Linux may share the processor between sessions first (autogroups), so that the niceness of the session counts.
+    """
+    os.nice(niceness)
+    with suppress(OSError):  # a kernel without autogroups
+        AUTOGROUP.write_text(str(niceness))
