@@ -6,7 +6,7 @@ from typing import Any
 
 from fastapi import FastAPI
 
-from api.access.authentication import OPEN, RULES
+from api.authentication import OPEN, RULES
 from api.problems import MEDIA_TYPE, ProblemDetails
 
 DESCRIPTION = """\

@@ -17,21 +17,32 @@ from starlette.middleware import Middleware
 from starlette.middleware.gzip import DEFAULT_EXCLUDED_CONTENT_TYPES, GZipMiddleware
 
 from api import dashboard
-from api.access.authentication import Authentication
-from api.access.middleware import Audit, BodyLimit, KnownHosts, NoNul, OpenUploads, RequestId, SameSite, Utf8Forms
-from api.checks import Checks, Exporter
-from api.conditional import Conditional
+from api.authentication import Authentication
 from api.dashboard.assets import ASSETS_PATH
-from api.dashboard.pages import ErrorPages, show_mistakes
 from api.description import TAGS, describe
-from api.metrics import Measured, RequestMetrics, ServiceMetrics
-from api.problems import Answers, install
-from api.reading import Reading
+from api.middleware import (
+    Answers,
+    Audit,
+    BodyLimit,
+    Conditional,
+    ErrorPages,
+    KnownHosts,
+    Measured,
+    NoNul,
+    OpenUploads,
+    RequestId,
+    RequestMetrics,
+    SameSite,
+    Utf8Forms,
+    show_mistakes,
+)
+from api.problems import install
+from api.requests import Reading, Services
 from api.routes import artifacts, assets, campaigns, job_exports, jobs, rerenderings, service
-from api.state import Services
-from api.submissions import Submissions
+from api.routes.service import ServiceMetrics
+from api.submissions import Checks, Submissions
 from api.uploads import MeshUploads
-from api.warm_pool import WarmPool, WarmProcess
+from api.warm_pool import Exporter, WarmPool, WarmProcess
 from api.watchers import ListWatcher, Watcher
 from services.access.caller import Caller, OwnedAssets, Quotas
 from services.access.keys import AccessKeys, Sessions, check_listening, listen

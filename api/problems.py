@@ -11,12 +11,11 @@ from pydantic import BaseModel, ConfigDict, Field
 from pydantic.config import JsonDict
 from redis.exceptions import RedisError
 from sqlalchemy.exc import SQLAlchemyError
-from starlette.datastructures import MutableHeaders, UploadFile
+from starlette.datastructures import UploadFile
 from starlette.exceptions import HTTPException
 from starlette.formparsers import MultiPartException
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Match
-from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from api.schemas import BadField
 from api.warm_pool import Unavailable
@@ -210,49 +209,3 @@ def _allowed(app: FastAPI, path: str) -> list[str]:
 
 
 _LATER = {"Retry-After": "5"}
-
-
-class Answers:
-    """Turns the plain-text errors of the framework's parts, e.g. for ranges, into problem documents.
-
-    It also adds headers to every response by which browsers guess no media type, and load nothing for what is no page.
-    """
-
-    def __init__(self, app: ASGIApp) -> None:
-        self.app = app
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """ASGI."""
-        if scope["type"] != "http":
-            return await self.app(scope, receive, send)
-        start: Message | None = None
-        text = b""
-
-        async def rewrite(message: Message) -> None:
-            nonlocal start, text
-            if message["type"] == "http.response.start" and _is_plain_error(message):
-                start = message
-                return
-            if start is None:
-                if message["type"] == "http.response.start":
-                    headers = MutableHeaders(raw=message["headers"])
-                    headers["x-content-type-options"] = "nosniff"
-                    headers.setdefault("content-security-policy", "default-src 'none'; frame-ancestors 'none'")
-                await send(message)
-                return
-            text += message.get("body", b"")
-            if not message.get("more_body", False):
-                kept = {k.decode(): v.decode() for k, v in start["headers"] if not k.startswith(b"content-")}
-                kept |= {k.decode(): v.decode() for k, v in start["headers"] if k == b"content-range"}
-                status = start["status"]
-                detail = text.decode(errors="replace") or HTTPStatus(status).description
-                start = None
-                await problem(status, detail, headers=kept)(scope, receive, rewrite)
-
-        return await self.app(scope, receive, rewrite)
-
-
-def _is_plain_error(message: Message) -> bool:
-    headers = dict(message["headers"])
-    kind: bytes = headers.get(b"content-type", b"text/plain")
-    return bool(message["status"] >= 400) and kind.startswith(b"text/plain")

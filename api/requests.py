@@ -1,27 +1,164 @@
-"""Reads for the routes, of a request: its JSON body, in a thread, so that a large or costly one delays no other; the
-preferences of a submission and its demand on the queue; and whether its client is still there.
+"""What the routes take from a request: the app's services, the caller, the body and the preferences of a submission.
+
+A JSON body is parsed in a thread, so that a large or costly one delays no other.
 """
 
 import asyncio
 import re
 from collections.abc import Callable, Coroutine
-from typing import Annotated, Any, TypeVar
+from dataclasses import dataclass
+from typing import Annotated, Any, ParamSpec, TypeVar
 
 from fastapi import Body, Depends, Header, HTTPException, Query, Request
 from fastapi.exceptions import RequestValidationError
 from pydantic import BaseModel, GetCoreSchemaHandler, GetJsonSchemaHandler, ValidationError
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, core_schema
+from sqlalchemy import Engine
+from starlette.concurrency import run_in_threadpool
 
-from api.access.authentication import CallerDependency
 from api.problems import BadRequestField
 from api.schemas import JobView
-from api.state import ServicesDependency, names_of
+from api.submissions import Checks, Submissions
+from api.uploads import MeshUploads
+from api.warm_pool import Exporter, WarmPool
+from api.watchers import ListWatcher, Watcher
+from services.access.caller import Caller, OwnedAssets, Quotas
+from services.access.keys import AccessKeys, Sessions
 from services.errors import InvalidRequest
+from services.jobs.campaigns import CampaignService
+from services.jobs.database import READS_SQLITE
+from services.jobs.files import ArtifactStore, Housekeeping, Storage
+from services.jobs.models import Job
+from services.jobs.queue import Queue
+from services.jobs.record import Record
 from services.jobs.scheduler import Demand, Device
 from services.jobs.states import Priority
+from services.jobs.uploads import DeletedAssets
 from services.names import Names
+from services.scenes.library import Library
 from services.strict import NESTED, is_nested_deeper
+
+
+async def known_caller(request: Request) -> Caller | None:  # a function that is not async would be called in a thread
+    """Returns the sender of a request to an open route; None if unknown."""
+    sender = request.scope["state"]["caller"]
+    assert sender is None or isinstance(sender, Caller)
+    return sender
+
+
+KnownCaller = Annotated[Caller | None, Depends(known_caller)]
+
+
+async def caller(request: Request) -> Caller:
+    """Returns the sender of a request to a route that needs a key."""
+    sender = await known_caller(request)
+    assert sender is not None
+    return sender
+
+
+CallerDependency = Annotated[Caller, Depends(caller)]
+
+
+def client_of(request: Request, caller: Caller) -> str:
+    """Returns the client whose turn a request takes: its owner, or its address if nobody has a key."""
+    return f"owner {caller.owner}" if caller.key else "" if request.client is None else request.client.host
+
+
+async def client(request: Request, caller: CallerDependency) -> str:
+    """Returns the client whose turn a request takes, as `client_of`; a dependency of routes."""
+    return client_of(request, caller)
+
+
+Client = Annotated[str, Depends(client)]
+
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+class Reading:
+    """Reads by an index, of a few rows: in the event loop if the record is SQLite's, which is part of this process,
+    and in a thread otherwise.
+
+    Such a read takes less time than its way to a thread and back while the processor is busy. If a thread is reading at
+    the moment, which may take long, the event loop does not wait for it and hands the read over, too.
+    """
+
+    def __init__(self, engine: Engine) -> None:
+        self._is_here = engine.dialect.name == "sqlite"
+
+    async def __call__(self, read: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
+        """Returns what the function `read` returns."""
+        if self._is_here and not READS_SQLITE.locked():
+            return read(*args, **kwargs)
+        return await run_in_threadpool(read, *args, **kwargs)
+
+
+@dataclass(frozen=True)
+class Services:
+    """Keys, sessions, uploads and quotas, the record of jobs and campaigns, the queue, the files, and what checks,
+    previews, exports and watches.
+    """
+
+    keys: AccessKeys
+    sessions: Sessions
+    assets: OwnedAssets
+    quotas: Quotas
+    record: Record
+    reading: Reading
+    queue: Queue
+    submissions: Submissions
+    store: ArtifactStore
+    library: Library
+    pool: WarmPool
+    checks: Checks
+    uploads: MeshUploads
+    exporter: Exporter
+    campaigns: CampaignService
+    watcher: Watcher
+    list_watcher: ListWatcher
+    storage: Storage
+    housekeeping: Housekeeping
+    deleted_assets: DeletedAssets
+
+
+async def services(request: Request) -> Services:  # a function that is not async would be called in a thread
+    """The app's services."""
+    provided = request.app.state.services
+    assert isinstance(provided, Services)
+    return provided
+
+
+ServicesDependency = Annotated[Services, Depends(services)]
+
+
+async def known_job(job_id: str, services: ServicesDependency, caller: CallerDependency) -> Job:
+    """The job with the id in the path, without request and result. Answers 404 if there is none for the caller."""
+    job = caller.visible(await services.reading(services.record.jobs.line, job_id))
+    if job is None:
+        raise no_such("job")
+    return job
+
+
+KnownJob = Annotated[Job, Depends(known_job)]
+
+
+def names_of(services: Services, caller: Caller) -> Names:
+    """The context in which the names in a caller's request are looked up."""
+    return services.submissions.names(caller)
+
+
+def no_such(what: str) -> HTTPException:
+    """The 404 error for a part of the path; `what` is its kind, e.g. "job"."""
+    return HTTPException(404, f"there is no such {what}")
+
+
+def matches(if_none_match: str, etag: str) -> bool:
+    """Whether an `If-None-Match` has an ETag, weak or strong, or `*`."""
+    name = etag.removeprefix("W/").strip('"')
+    return if_none_match.strip() == "*" or name in re.findall(r'"([^"]*)"', if_none_match)
+
 
 Parsed = TypeVar("Parsed", bound=BaseModel)
 

@@ -6,14 +6,21 @@ service, the second one with the first preview or export.
 """
 
 import asyncio
+import os
 import time
-from collections.abc import AsyncIterator, Callable, Coroutine, Sequence
+from collections.abc import AsyncIterator, Callable, Coroutine, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass
+from io import BufferedReader
+from pathlib import Path
+from tempfile import mkstemp
 from typing import Any, Protocol
 
+from fastapi import HTTPException
+
 from services.errors import InvalidFields, InvalidRequest, QuotaExceeded
+from services.export import ASSET
 from services.jobs.processes import Child, ChildDied, OutOfMemory
 from services.logs import logger
 from services.settings import Settings
@@ -285,3 +292,47 @@ class WarmPool:
         self._tasks.discard(task)
         if not task.cancelled():
             task.exception()  # the client that waited for it may have gone
+
+
+EXPORT_SECONDS = 120.0
+"""Longest time for one export, and longest wait for those before it."""
+
+
+class Exporter:
+    """Makes exports of jobs and glTF files of assets, one at a time and together with previews."""
+
+    def __init__(self, pool: WarmPool) -> None:
+        self._pool = pool
+
+    async def made(self, what: str, job_id: str, artifacts: Mapping[str, str], client: str) -> BufferedReader:
+        """The open file of an export, which has no name any more: all of it (`BUNDLE`), or the scene "before" or
+        "after".
+
+        `artifacts` are the SHA-256 of the job's files by name. Raises Unavailable, and HTTPException(409) for a job
+        that cannot be exported.
+        """
+        message = {"what": what, "job": job_id, "artifacts": dict(artifacts)}
+        return await self._file(message, client, "job cannot be exported")
+
+    async def asset(self, mesh: str, client: str) -> BufferedReader:
+        """The open glTF file of the scene of one mesh. Raises as `made` does."""
+        return await self._file({"what": ASSET, "mesh": mesh}, client, "asset cannot be shown")
+
+    async def _file(self, message: dict[str, Any], client: str, refusal: str) -> BufferedReader:
+        handle, path = mkstemp(prefix="scene-attack-export-")
+        os.close(handle)
+        try:
+            export = {"export": message | {"out": path}}
+            answer = await self._pool.work(export, client, EXPORT_SECONDS, EXPORT_SECONDS)
+            if "refused" in answer:
+                raise HTTPException(409, f"the {refusal}: {answer['refused']}")
+            return Path(path).open("rb")
+        except NoneFree as error:
+            raise Unavailable("other exports take too long; try again") from error
+        except OutOfMemory as error:
+            raise Unavailable(f"the export failed: it needs {error}") from error
+        except (ChildDied, TooSlow) as error:
+            detail = f"the export did not end within {EXPORT_SECONDS:g} seconds and the memory allowed"
+            raise Unavailable(detail) from error
+        finally:
+            os.unlink(path)

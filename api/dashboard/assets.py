@@ -12,13 +12,11 @@ from fastapi.responses import FileResponse, RedirectResponse
 from pydantic import BaseModel, ValidationError
 from starlette.concurrency import run_in_threadpool
 
-from api.access.authentication import CallerDependency, Client
 from api.dashboard.pages import HEADERS, html
-from api.requests import while_connected
+from api.requests import CallerDependency, Client, Services, ServicesDependency, no_such, while_connected
 from api.routes.artifacts import VerifiedFile
 from api.routes.assets import form_body, store
 from api.schemas import Uploaded
-from api.state import Services, ServicesDependency, no_such
 from services.access.caller import Caller, Scope
 from services.errors import InvalidFields, InvalidRequest
 from services.jobs.models import Job

@@ -11,11 +11,10 @@ from urllib.parse import urlencode
 from fastapi import APIRouter, Query, Response
 from fastapi.responses import RedirectResponse
 
-from api.access.authentication import CallerDependency
 from api.cursors import campaign_cursor, read_campaign_cursor
 from api.dashboard.charts import Chart, chart
 from api.dashboard.pages import HEADERS, html
-from api.state import Services, ServicesDependency, no_such
+from api.requests import CallerDependency, Services, ServicesDependency, no_such
 from services.access.caller import Caller
 from services.analysis.campaign_table import (
     CASE_FIELDS,

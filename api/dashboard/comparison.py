@@ -7,12 +7,11 @@ from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Query, Response
 
-from api.access.authentication import CallerDependency
 from api.dashboard.campaigns import ALONG, Along, corners, end, points, steps
 from api.dashboard.charts import Chart, overlay
 from api.dashboard.pages import html
 from api.dashboard.views import all_events, trace_of
-from api.state import Services, ServicesDependency, no_such
+from api.requests import CallerDependency, Services, ServicesDependency, no_such
 from services.access.caller import Caller
 from services.analysis.campaign_table import Cell, Table
 from services.errors import InvalidRequest

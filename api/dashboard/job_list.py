@@ -10,11 +10,10 @@ from fastapi import APIRouter, Form, Query, Response
 from fastapi.responses import RedirectResponse
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 
-from api.access.authentication import CallerDependency
 from api.cursors import SORT_PATTERN, read_cursor, write_cursor
 from api.dashboard.pages import HEADERS, html
+from api.requests import CallerDependency, Services, ServicesDependency
 from api.schemas import MOST_TAGS, TAG_WORDS, is_tag
-from api.state import Services, ServicesDependency
 from services.access.caller import Caller
 from services.errors import InUse, InvalidRequest, QuotaExceeded
 from services.jobs.job_list import EXAMPLE, LONGEST_QUERY, ListedJob, ListTotals, parse_query

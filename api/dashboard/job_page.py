@@ -13,13 +13,12 @@ from fastapi import APIRouter, Form, Request, Response
 from fastapi.responses import RedirectResponse
 from pydantic import ValidationError
 
-from api.access.authentication import CallerDependency
 from api.dashboard import views
 from api.dashboard.pages import HEADERS, STATIC, VERSION, html
 from api.dashboard.views import all_events
+from api.requests import CallerDependency, KnownJob, Services, ServicesDependency, no_such
 from api.routes.jobs import continued
 from api.schemas import JobEdit
-from api.state import KnownJob, Services, ServicesDependency, no_such
 from services.access.caller import Caller
 from services.errors import InvalidFields
 from services.jobs.files import Damaged

@@ -11,10 +11,9 @@ from fastapi.responses import RedirectResponse
 from pydantic import ValidationError
 from starlette.concurrency import run_in_threadpool
 
-from api.access.authentication import CallerDependency
 from api.dashboard.pages import HEADERS, html
+from api.requests import CallerDependency, Services, ServicesDependency, names_of, no_such
 from api.routes import jobs
-from api.state import Services, ServicesDependency, names_of, no_such
 from services.access.caller import Caller
 from services.attacks.attack import ATTACKS
 from services.errors import InvalidRequest

@@ -6,8 +6,8 @@ from typing import Any
 
 from fastapi import APIRouter, Request, Response
 
-from api.access.authentication import CallerDependency
 from api.dashboard.pages import html
+from api.requests import CallerDependency
 
 REF = "#/components/schemas/"
 router = APIRouter(include_in_schema=False)

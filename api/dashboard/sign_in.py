@@ -6,9 +6,9 @@ from typing import Annotated
 from fastapi import APIRouter, Form, Query, Request, Response
 from fastapi.responses import RedirectResponse
 
-from api.access.authentication import COOKIE, SIGN_IN, KnownCaller
+from api.authentication import COOKIE, SIGN_IN
 from api.dashboard.pages import HEADERS, html
-from api.state import ServicesDependency
+from api.requests import KnownCaller, ServicesDependency
 from services.access.caller import Caller, Scope
 from services.access.keys import SESSION_SECONDS
 

@@ -4,9 +4,8 @@ from dataclasses import dataclass
 
 from fastapi import APIRouter, Response
 
-from api.access.authentication import CallerDependency
 from api.dashboard.pages import html
-from api.state import ServicesDependency
+from api.requests import CallerDependency, ServicesDependency
 from services.jobs.statistics import TargetRecord
 from services.targets.info import UNAVAILABLE, TargetInfo, available
 

@@ -13,11 +13,8 @@ from fastapi.responses import FileResponse
 from starlette.concurrency import run_in_threadpool
 from starlette.types import Receive, Scope, Send
 
-from api.access.authentication import Client
-from api.conditional import matches
-from api.requests import while_connected
+from api.requests import Client, KnownJob, Services, ServicesDependency, matches, no_such, while_connected
 from api.schemas import ArtifactList, ArtifactView
-from api.state import KnownJob, Services, ServicesDependency, no_such
 from services.export import BUNDLE
 from services.jobs.models import Job
 

@@ -10,10 +10,8 @@ from pydantic import BeforeValidator
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import UploadFile as StarletteUploadFile
 
-from api.access.authentication import CallerDependency, Client
-from api.requests import while_connected
+from api.requests import CallerDependency, Client, Services, ServicesDependency, no_such, while_connected
 from api.schemas import AssetList, SceneLibrary, TargetList, Uploaded
-from api.state import Services, ServicesDependency, no_such
 from api.uploads import Sent
 from services.access.caller import Caller
 from services.logs import logger

@@ -5,9 +5,18 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Depends, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
-from api.access.authentication import CallerDependency
 from api.cursors import campaign_cursor, read_campaign_cursor
-from api.requests import IdempotencyKey, body_of, demand, json_body, while_connected
+from api.requests import (
+    CallerDependency,
+    IdempotencyKey,
+    Services,
+    ServicesDependency,
+    body_of,
+    demand,
+    json_body,
+    no_such,
+    while_connected,
+)
 from api.schemas import (
     CampaignJobPage,
     CampaignJobView,
@@ -16,7 +25,6 @@ from api.schemas import (
     CampaignView,
     ViewList,
 )
-from api.state import Services, ServicesDependency, no_such
 from services.analysis.campaign_table import cases_to_csv, to_csv, to_latex
 from services.jobs.campaigns import request_digest
 from services.jobs.jobs import Key

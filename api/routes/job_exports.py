@@ -11,10 +11,9 @@ from fastapi import APIRouter, Depends, Query
 from fastapi.responses import StreamingResponse
 from pydantic import AfterValidator, WithJsonSchema
 
-from api.access.authentication import CallerDependency
+from api.requests import CallerDependency, Services, ServicesDependency
 from api.routes.jobs import NEWEST, QueryText, Sort
 from api.schemas import JobRow, JobTable
-from api.state import Services, ServicesDependency
 from services.access.caller import Caller
 from services.jobs.job_list import ListedJob, Term, parse_query
 

@@ -8,11 +8,23 @@ from fastapi import APIRouter, Depends, Header, HTTPException, Query, Request, R
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 from starlette.concurrency import run_in_threadpool
 
-from api.access.authentication import CallerDependency, Client
 from api.cursors import SORT_PATTERN, read_cursor, write_cursor
-from api.requests import SUBMISSION, DemandOfQuery, IdempotencyKey, PreferredWait, body_of, json_body, while_connected
+from api.requests import (
+    SUBMISSION,
+    CallerDependency,
+    Client,
+    DemandOfQuery,
+    IdempotencyKey,
+    KnownJob,
+    PreferredWait,
+    Services,
+    ServicesDependency,
+    body_of,
+    json_body,
+    no_such,
+    while_connected,
+)
 from api.schemas import JobEdit, JobPage, JobSummary, JobView, PreviewView
-from api.state import KnownJob, Services, ServicesDependency, no_such
 from api.submissions import key_of
 from services.access.caller import Caller
 from services.jobs.job_list import EXAMPLE, LONGEST_QUERY, Term, parse_query

@@ -9,11 +9,22 @@ from typing import Annotated
 from fastapi import APIRouter, Depends, Request, Response
 from starlette.concurrency import run_in_threadpool
 
-from api.access.authentication import CallerDependency, Client
-from api.requests import SUBMISSION, DemandOfQuery, IdempotencyKey, PreferredWait, body_of, while_connected
+from api.requests import (
+    SUBMISSION,
+    CallerDependency,
+    Client,
+    DemandOfQuery,
+    IdempotencyKey,
+    PreferredWait,
+    Services,
+    ServicesDependency,
+    body_of,
+    names_of,
+    no_such,
+    while_connected,
+)
 from api.routes.jobs import answered
 from api.schemas import JobView, RerenderingBody
-from api.state import Services, ServicesDependency, names_of, no_such
 from api.submissions import key_of
 from services.access.caller import Caller
 from services.errors import InvalidRequest

@@ -9,7 +9,7 @@ from fastapi import FastAPI
 from playwright.sync_api import Browser, ConsoleMessage, Page, expect
 
 from api.main import create_app
-from api.state import Services
+from api.requests import Services
 from benchmarks.filled_record import fill
 from services.settings import Settings
 from tests.integration.browser import fresh_page, launched

@@ -10,7 +10,7 @@ import pytest
 from fastapi import FastAPI
 
 from api.main import create_app, server
-from api.state import Services
+from api.requests import Services
 from services.jobs.models import Artifact
 from services.pipeline.spec import parse
 from services.settings import Settings

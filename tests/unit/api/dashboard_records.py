@@ -8,8 +8,7 @@ from typing import Any, cast
 from fastapi import FastAPI
 
 from api import dashboard
-from api.access.authentication import caller
-from api.state import Services
+from api.requests import Services, caller
 from services.access.caller import KEYLESS
 from services.jobs.campaigns import CampaignService
 from services.jobs.database import connect, migrate

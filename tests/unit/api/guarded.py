@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import httpx
 from fastapi import FastAPI
 
-from api.access.authentication import RULES
-from api.state import Services
+from api.authentication import RULES
+from api.requests import Services
 from services.access.caller import Caller, Scope
 from services.jobs.models import CampaignState, State
 from services.pipeline.campaign_spec import parse as parse_campaign

@@ -2,7 +2,7 @@
 
 import pytest
 
-from api.access.authentication import PAGES
+from api.authentication import PAGES
 from api.main import create_app
 from services.access.caller import Scope
 from services.settings import Settings

@@ -4,7 +4,7 @@ from pathlib import Path
 import pytest
 from httpx import Client
 
-from api.state import Services
+from api.requests import Services
 
 BYTES = b"0123456789"
 ETAG = f'"{hashlib.sha256(BYTES).hexdigest()}"'

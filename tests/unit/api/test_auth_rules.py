@@ -4,7 +4,7 @@ import pytest
 from fastapi import FastAPI
 from fastapi.routing import iter_route_contexts
 
-from api.access.authentication import PAGES, RULES, rule_of
+from api.authentication import PAGES, RULES, rule_of
 from api.main import create_app
 from services.access.caller import Scope
 from services.settings import Settings

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 from httpx import Client
 
-from api.state import Services
+from api.requests import Services
 
 SPEC: dict[str, Any] = {
     "name": "spheres",

@@ -8,8 +8,8 @@ import pytest
 from httpx import Client
 from starlette.responses import Response
 
-from api.conditional import THREADED, Conditional, etag
 from api.dashboard.pages import prose
+from api.middleware import THREADED, Conditional, etag
 
 GZIP = {"accept-encoding": "gzip"}
 PLAIN = {"accept-encoding": "identity"}
@@ -101,7 +101,7 @@ def test_a_large_answer_is_hashed_beside_the_event_loop(
         hashed_in.append(threading.get_ident())
         return etag(body)
 
-    monkeypatch.setattr("api.conditional.etag", hashed)
+    monkeypatch.setattr("api.middleware.etag", hashed)
     app = Conditional(Response(b"x" * size, media_type="application/json"))
 
     async def asked() -> tuple[httpx.Response, int]:

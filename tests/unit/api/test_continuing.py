@@ -2,7 +2,7 @@
 
 from httpx import Client
 
-from api.state import Services
+from api.requests import Services
 from services.jobs.models import Artifact, Job
 from services.pipeline.result import CHECKPOINT
 from services.pipeline.spec import parse

@@ -2,7 +2,7 @@
 
 import pytest
 
-from api.access.authentication import PAGES, RULES
+from api.authentication import PAGES, RULES
 from api.problems import MEDIA_TYPE
 from services.access.caller import Scope
 from tests.unit.api.guarded import Guarded

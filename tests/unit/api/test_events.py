@@ -3,7 +3,7 @@ import json
 import pytest
 from httpx import Client
 
-from api.access.authentication import COOKIE
+from api.authentication import COOKIE
 from services.access.caller import Scope
 from tests.unit.api.guarded import Guarded, bearer
 

@@ -1,6 +1,6 @@
 from httpx import Client
 
-from api.state import Services
+from api.requests import Services
 
 
 def test_the_process_is_well_by_itself(client: Client) -> None:

@@ -9,7 +9,7 @@ import pytest
 from httpx import Client
 
 import api.requests
-from api.state import Services
+from api.requests import Services
 from services.errors import InvalidRequest, without_folders
 from services.jobs.files import ArtifactStore
 from services.jobs.models import Artifact

@@ -3,7 +3,7 @@
 import httpx
 import pytest
 
-from api.state import Services
+from api.requests import Services
 from services.jobs.models import Job
 from services.pipeline.spec import parse
 from tests.unit.api.conftest import SPHERE

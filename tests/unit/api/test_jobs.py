@@ -6,7 +6,7 @@ import psutil
 import pytest
 from httpx import Client
 
-from api.state import Services
+from api.requests import Services
 from api.warm_pool import TooSlow
 from services.jobs.models import Job
 from services.jobs.states import Priority

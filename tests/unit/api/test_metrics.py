@@ -5,7 +5,7 @@ from httpx import Client
 from prometheus_client.parser import text_string_to_metric_families
 from sqlalchemy import create_engine
 
-from api.metrics import ServiceMetrics
+from api.routes.service import ServiceMetrics
 from services.jobs.database import Database
 from services.jobs.queue import Queue, connect
 from services.jobs.statistics import Figures

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from httpx import Client
 
-from api.state import Services
+from api.requests import Services
 from services.pipeline.spec import JobSpec, parse
 from tests.unit.api.conftest import SPHERE
 from tests.unit.jobs.records import attacks

@@ -1,6 +1,6 @@
 """Every page is in the list that the accessibility test walks."""
 
-from api.access.authentication import RULES
+from api.authentication import RULES
 from tests.dashboard_pages import NO_PAGES, PAGES
 
 

@@ -9,7 +9,7 @@ import torch
 from httpx import Client
 from PIL import Image
 
-from api.state import Services
+from api.requests import Services
 from api.warm_pool import NoneFree, TooSlow
 from services.analysis.images import pixels
 from services.pipeline.prepare import plan, prepare

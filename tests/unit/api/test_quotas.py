@@ -5,7 +5,7 @@ from contextlib import ExitStack
 
 import pytest
 
-from api.access.middleware import MAX_OPEN_UPLOADS
+from api.middleware import MAX_OPEN_UPLOADS
 from services.access.caller import Quotas
 from tests.unit.api.guarded import ATTACK, CAMPAIGN, SPHERE, Guarded
 from tests.unit.api.test_owners import upload

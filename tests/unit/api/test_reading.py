@@ -6,7 +6,7 @@ from typing import cast
 import pytest
 from sqlalchemy import Engine, create_engine
 
-from api.reading import Reading
+from api.requests import Reading
 from services.jobs.database import READS_SQLITE
 
 pytestmark = [pytest.mark.slow, pytest.mark.anyio]

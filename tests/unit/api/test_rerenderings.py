@@ -13,7 +13,7 @@ import torch
 from httpx import Client, Response
 from PIL import Image
 
-from api.state import Services
+from api.requests import Services
 from services.analysis.images import pixels, png, save_png
 from services.analysis.records import Rerendering, RerenderingRequest
 from services.jobs.models import Artifact

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import httpx
 import pytest
 
-from api.access.authentication import COOKIE
+from api.authentication import COOKIE
 from services.access.caller import Scope
 from tests.unit.api.guarded import CLOSED, Guarded
 

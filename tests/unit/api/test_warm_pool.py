@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from api.checks import Checks
+from api.submissions import Checks
 from api.warm_pool import MOST_OPEN, NoneFree, TooSlow, Unavailable, WarmPool
 from services.access.caller import KEYLESS
 from services.errors import InvalidRequest, QuotaExceeded

@@ -8,7 +8,7 @@ import pytest
 import yaml
 from typer.testing import CliRunner
 
-from api.access.middleware import FORM_BYTES
+from api.middleware import FORM_BYTES
 from api.routes import service as health
 from client.cli import app
 from services.addresses import is_loopback

@@ -7,10 +7,9 @@ else.
 import re
 from dataclasses import dataclass
 from re import Pattern
-from typing import Annotated, Protocol
+from typing import Protocol
 from urllib.parse import urlencode
 
-from fastapi import Depends, Request
 from sqlalchemy.exc import SQLAlchemyError
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import Headers
@@ -20,7 +19,7 @@ from starlette.routing import compile_path
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from api.problems import problem
-from api.reading import Reading
+from api.requests import Reading
 from services.access.caller import KEYLESS, Caller
 from services.access.caller import Scope as AccessScope
 from services.access.keys import AccessKeys, Sessions
@@ -252,36 +251,3 @@ def _refusal(rule: Rule | None, caller: Caller | None, asked: Scope) -> Response
         return problem(404, "there is nothing here, or not by this method")
     how = {"WWW-Authenticate": f'Bearer error="insufficient_scope", scope="{scope}"'}
     return problem(403, f"this needs a key with the scope {scope}", headers=how)
-
-
-async def known_caller(request: Request) -> Caller | None:  # a function that is not async would be called in a thread
-    """Returns the sender of a request to an open route; None if unknown."""
-    sender = request.scope["state"]["caller"]
-    assert sender is None or isinstance(sender, Caller)
-    return sender
-
-
-KnownCaller = Annotated[Caller | None, Depends(known_caller)]
-
-
-async def caller(request: Request) -> Caller:
-    """Returns the sender of a request to a route that needs a key."""
-    sender = await known_caller(request)
-    assert sender is not None
-    return sender
-
-
-CallerDependency = Annotated[Caller, Depends(caller)]
-
-
-def client_of(request: Request, caller: Caller) -> str:
-    """Returns the client whose turn a request takes: its owner, or its address if nobody has a key."""
-    return f"owner {caller.owner}" if caller.key else "" if request.client is None else request.client.host
-
-
-async def client(request: Request, caller: CallerDependency) -> str:
-    """Returns the client whose turn a request takes, as `client_of`; a dependency of routes."""
-    return client_of(request, caller)
-
-
-Client = Annotated[str, Depends(client)]

@@ -1,6 +1,9 @@
-"""Middleware that each request passes before it is parsed.
+"""Middleware that each request passes before it is parsed, from the outermost.
 
-- `RequestId` gives it an id, and `Audit` logs who changed what and who was refused.
+- `RequestId` gives it an id, and `Measured` counts it for the metrics.
+- `Conditional` answers 304, `ErrorPages` shows a person errors as pages, and `Answers` makes problem documents of what
+  the framework says in plain text.
+- `Audit` logs who changed what and who was refused.
 - `KnownHosts` and `SameSite` protect the service from web sites that its users visit.
 - `BodyLimit`, `Utf8Forms`, `NoNul` and `OpenUploads` refuse bodies that are too large, forms in other encodings than
   UTF-8, addresses with a character that no text may have, and more uploads of a client than may be open.
@@ -11,21 +14,30 @@ is on this machine, or has a session here, send requests. A browser says where a
 Origin); other programs do not.
 """
 
+import json
 import re
+import time
 from collections import Counter
 from collections.abc import Collection, Mapping
+from hashlib import sha256
+from http import HTTPStatus
 from urllib.parse import parse_qsl
 from uuid import uuid4
 
+import prometheus_client
 import structlog
+from fastapi import FastAPI, Request, Response
+from prometheus_client import CollectorRegistry, Histogram, ProcessCollector
 from python_multipart.multipart import parse_options_header
+from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.exceptions import HTTPException
-from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from api.access.authentication import client_of, rule_of
-from api.problems import REQUEST_ID, BadRequestField, http_problem, invalid, problem
+from api.authentication import asks_for_html, rule_of
+from api.dashboard.pages import html
+from api.problems import MEDIA_TYPE, REQUEST_ID, BadRequestField, http_problem, invalid, problem
+from api.requests import client_of, matches
 from services.access.caller import Caller
 from services.addresses import is_loopback
 from services.errors import InvalidRequest
@@ -56,6 +68,242 @@ class RequestId:
             await send(message)
 
         return await self.app(scope, receive, named)
+
+
+METHODS = ("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS")
+BOUNDS = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0)
+"""Upper bounds of the histogram of answers' times, in seconds."""
+
+
+class RequestMetrics:
+    """The metrics of requests, and the registry that `/metrics` reports."""
+
+    def __init__(self) -> None:
+        self.registry = CollectorRegistry()
+        ProcessCollector(registry=self.registry)
+        self.requests = prometheus_client.Counter(
+            "scene_attack_http_requests",
+            "Requests that this process of the API answered",
+            ["method", "route", "status"],
+            registry=self.registry,
+        )
+        self.seconds = Histogram(
+            "scene_attack_http_request_seconds",
+            "Time from a request to the beginning of its answer",
+            ["method", "route"],
+            buckets=BOUNDS,
+            registry=self.registry,
+        )
+
+
+class Measured:
+    """Counts requests by the template of their route, and measures the time to the beginning of the answer."""
+
+    def __init__(self, app: ASGIApp, metrics: RequestMetrics) -> None:
+        self.app = app
+        self.metrics = metrics
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """ASGI."""
+        if scope["type"] != "http":
+            return await self.app(scope, receive, send)
+        began, answered = time.perf_counter(), False
+
+        def count(status: int) -> None:
+            nonlocal answered
+            answered = True
+            method = scope["method"] if scope["method"] in METHODS else "other"
+            route = _template(scope)
+            self.metrics.requests.labels(method, route, str(status)).inc()
+            self.metrics.seconds.labels(method, route).observe(time.perf_counter() - began)
+
+        async def counted(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                count(message["status"])
+            await send(message)
+
+        try:
+            return await self.app(scope, receive, counted)
+        except BaseException:
+            if not answered:  # the framework answers outside of this
+                count(500)
+            raise
+
+
+def _template(scope: Scope) -> str:
+    """The path of the request's route, e.g. "/v1/jobs/{job_id}"; "none" for a path without one."""
+    return getattr(scope.get("route"), "path_format", None) or "none"
+
+
+THREADED = 2**16
+"""Bytes of an answer from which on it is hashed in a thread, so that the event loop answers others meanwhile."""
+_KEPT = (b"etag", b"cache-control", b"x-content-type-options", b"content-security-policy")
+"""Headers of an answer that 304 has, too."""
+
+
+class Conditional:
+    """Adds an ETag to the answers of GET that are JSON, and answers 304 where `If-None-Match` has it."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self.app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """ASGI."""
+        if scope["type"] != "http" or scope["method"] != "GET":
+            return await self.app(scope, receive, send)
+        client_etags = Headers(scope=scope).get("if-none-match")
+        start: Message | None = None
+
+        async def tagged(message: Message) -> None:
+            nonlocal start
+            if message["type"] == "http.response.start" and _is_json(message):
+                start = message
+                return None
+            if start is None:
+                return await send(message)
+            begun, start = start, None
+            headers = MutableHeaders(raw=begun["headers"])
+            headers["Cache-Control"] = "private, no-cache"
+            if not message.get("more_body", False):
+                # Weak: compressed or not, the content is the same.
+                body = message["body"]
+                headers["ETag"] = await run_in_threadpool(etag, body) if len(body) >= THREADED else etag(body)
+                if client_etags is not None and matches(client_etags, headers["ETag"]):
+                    kept = [(k, v) for k, v in begun["headers"] if k in _KEPT]
+                    begun["status"], begun["headers"], message["body"] = 304, kept, b""
+            await send(begun)
+            await send(message)
+            return None
+
+        return await self.app(scope, receive, tagged)
+
+
+def etag(body: bytes) -> str:
+    """The weak ETag of an answer."""
+    return f'W/"{sha256(body).hexdigest()[:32]}"'
+
+
+def _is_json(message: Message) -> bool:
+    headers = Headers(raw=message["headers"])
+    plain = headers.get("content-type", "").startswith("application/json")
+    return bool(message["status"] == 200 and plain and "etag" not in headers)
+
+
+_OF_PROGRAMS = re.compile(r"/(?:v1|metrics|healthz|readyz|openapi\.json)(?:/|$)")
+"""The beginning of paths that are no pages."""
+
+
+class ErrorPages:
+    """Turns problem documents into pages, for a browser that asks for HTML and outside the API."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self.app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """ASGI."""
+        if scope["type"] != "http" or _OF_PROGRAMS.match(scope["path"]):
+            return await self.app(scope, receive, send)
+        is_browser = _is_for_a_person(scope)
+        start: Message | None = None
+        document = b""
+
+        async def turned(message: Message) -> None:
+            nonlocal start, document
+            if message["type"] == "http.response.start" and _is_problem(message):
+                MutableHeaders(raw=message["headers"]).add_vary_header("Accept")
+                if is_browser:
+                    start = message
+                    return
+            if start is None:
+                await send(message)
+                return
+            document += message.get("body", b"")
+            if not message.get("more_body", False):
+                begun, start = start, None
+                await _page(scope, begun["status"], begun["headers"], document)(scope, receive, send)
+
+        return await self.app(scope, receive, turned)
+
+
+def show_mistakes(app: FastAPI) -> None:
+    """Shows a person the page of an exception that nothing caught. The framework answers it outside of all middleware,
+    by the handler that is installed for it."""
+    document = app.exception_handlers[Exception]
+
+    def shown(request: Request, error: Exception) -> Response:
+        answer = document(request, error)
+        assert isinstance(answer, Response)
+        if not _is_for_a_person(request.scope):
+            return answer
+        return _page(request.scope, answer.status_code, answer.raw_headers, bytes(answer.body))
+
+    app.add_exception_handler(Exception, shown)
+
+
+def _is_for_a_person(scope: Scope) -> bool:
+    return not _OF_PROGRAMS.match(scope["path"]) and asks_for_html(scope)
+
+
+def _is_problem(message: Message) -> bool:
+    return Headers(raw=message["headers"]).get("content-type", "").startswith(MEDIA_TYPE)
+
+
+def _page(scope: Scope, status: int, headers: list[tuple[bytes, bytes]], document: bytes) -> Response:
+    """The page of a problem, with the problem's status and the headers that are not about its body."""
+    detail = json.loads(document)["detail"] if document else ""
+    page = html(
+        "error.html", status, scope.get("state", {}).get("caller"), title=HTTPStatus(status).phrase, detail=detail
+    )
+    for name, value in Headers(raw=headers).items():
+        if not name.startswith("content-"):
+            page.headers.setdefault(name, value)
+    return page
+
+
+class Answers:
+    """Turns the plain-text errors of the framework's parts, e.g. for ranges, into problem documents.
+
+    It also adds headers to every response by which browsers guess no media type, and load nothing for what is no page.
+    """
+
+    def __init__(self, app: ASGIApp) -> None:
+        self.app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """ASGI."""
+        if scope["type"] != "http":
+            return await self.app(scope, receive, send)
+        start: Message | None = None
+        text = b""
+
+        async def rewrite(message: Message) -> None:
+            nonlocal start, text
+            if message["type"] == "http.response.start" and _is_plain_error(message):
+                start = message
+                return
+            if start is None:
+                if message["type"] == "http.response.start":
+                    headers = MutableHeaders(raw=message["headers"])
+                    headers["x-content-type-options"] = "nosniff"
+                    headers.setdefault("content-security-policy", "default-src 'none'; frame-ancestors 'none'")
+                await send(message)
+                return
+            text += message.get("body", b"")
+            if not message.get("more_body", False):
+                kept = {k.decode(): v.decode() for k, v in start["headers"] if not k.startswith(b"content-")}
+                kept |= {k.decode(): v.decode() for k, v in start["headers"] if k == b"content-range"}
+                status = start["status"]
+                detail = text.decode(errors="replace") or HTTPStatus(status).description
+                start = None
+                await problem(status, detail, headers=kept)(scope, receive, rewrite)
+
+        return await self.app(scope, receive, rewrite)
+
+
+def _is_plain_error(message: Message) -> bool:
+    headers = dict(message["headers"])
+    kind: bytes = headers.get(b"content-type", b"text/plain")
+    return bool(message["status"] >= 400) and kind.startswith(b"text/plain")
 
 
 REFUSED = (400, 401, 403, 421, 429)
