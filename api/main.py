@@ -46,24 +46,23 @@ from api.warm_pool import Exporter, WarmPool, WarmProcess
 from api.watchers import ListWatcher, Watcher
 from services.access.caller import Caller, OwnedAssets, Quotas
 from services.access.keys import AccessKeys, Sessions, check_listening, listen
-from services.device import check_device
 from services.errors import InvalidRequest
 from services.jobs import processes
-from services.jobs.campaigns import CampaignService
 from services.jobs.database import check_database, migrate
 from services.jobs.database import connect as connect_database
-from services.jobs.files import ArtifactStore, Housekeeping, Storage
+from services.jobs.files import ArtifactStore, Storage
 from services.jobs.processes import WARM_PROCESSES
 from services.jobs.queue import Queue
 from services.jobs.queue import connect as connect_redis
 from services.jobs.record import Record
 from services.jobs.uploads import DeletedAssets
 from services.logs import configure, logger
-from services.names import Names
 from services.pipeline.check import names_in
 from services.pipeline.extensions import log_extensions, set_up
+from services.process import check_device
 from services.scenes.library import Library
 from services.settings import Settings
+from services.strict import Names
 
 MIGRATION_SECONDS = 10.0
 """Longest wait for the database at the start, after which requests are answered, if only by 503."""
@@ -126,11 +125,9 @@ def create_app(values: Settings) -> FastAPI:
             pool=pool,
             checks=Checks(pool, names, values),
             exporter=Exporter(pool),
-            campaigns=CampaignService(record.campaigns, queue),
             watcher=watcher,
             list_watcher=list_watcher,
             storage=Storage(values.data_dir, store),
-            housekeeping=Housekeeping(record, store, values.data_dir),
             deleted_assets=DeletedAssets(record.database, library),
         )
         service_metrics = ServiceMetrics(record.figures, queue, watcher.streams)

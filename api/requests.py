@@ -14,6 +14,7 @@ from fastapi.exceptions import RequestValidationError
 from pydantic import BaseModel, GetCoreSchemaHandler, GetJsonSchemaHandler, ValidationError
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, core_schema
+from redis.exceptions import RedisError
 from sqlalchemy import Engine
 from starlette.concurrency import run_in_threadpool
 
@@ -26,18 +27,17 @@ from api.watchers import ListWatcher, Watcher
 from services.access.caller import Caller, OwnedAssets, Quotas
 from services.access.keys import AccessKeys, Sessions
 from services.errors import InvalidRequest
-from services.jobs.campaigns import CampaignService
+from services.jobs.campaigns import Counts
 from services.jobs.database import READS_SQLITE
-from services.jobs.files import ArtifactStore, Housekeeping, Storage
+from services.jobs.files import ArtifactStore, Storage
 from services.jobs.models import Job
 from services.jobs.queue import Queue
 from services.jobs.record import Record
 from services.jobs.scheduler import Demand, Device
 from services.jobs.states import Priority
 from services.jobs.uploads import DeletedAssets
-from services.names import Names
 from services.scenes.library import Library
-from services.strict import NESTED, is_nested_deeper
+from services.strict import NESTED, Names, is_nested_deeper
 
 
 async def known_caller(request: Request) -> Caller | None:  # a function that is not async would be called in a thread
@@ -115,12 +115,18 @@ class Services:
     checks: Checks
     uploads: MeshUploads
     exporter: Exporter
-    campaigns: CampaignService
     watcher: Watcher
     list_watcher: ListWatcher
     storage: Storage
-    housekeeping: Housekeeping
     deleted_assets: DeletedAssets
+
+    def campaign_counts(self, campaign_id: str) -> Counts:
+        """The results of a campaign so far, and the time left with as many workers as there are now."""
+        try:
+            workers = self.queue.live_workers()
+        except RedisError:
+            workers = 1
+        return self.record.campaigns.counts(campaign_id, workers)
 
 
 async def services(request: Request) -> Services:  # a function that is not async would be called in a thread

@@ -20,13 +20,13 @@ from services.jobs.queue import Queue
 from services.jobs.record import Record
 from services.jobs.scheduler import Demand, Needs
 from services.logs import logger
-from services.names import Names
 from services.pipeline.campaign_spec import CampaignSpec
 from services.pipeline.check import Checked, check_names, check_size, placed, samples
 from services.pipeline.preview_record import PlannedCost, Preview
 from services.pipeline.result import JobWarning
 from services.pipeline.spec import SENT_IMAGE, JobSpec, RerenderingSpec, digest, parse
 from services.settings import Settings
+from services.strict import Names
 
 WAITING_SHARE = 0.1
 """Longest wait of a check for a process, as a share of the time that it may take: 0.5 seconds by default."""

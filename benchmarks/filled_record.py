@@ -7,8 +7,7 @@ from typing import Any
 from sqlalchemy.orm import Session
 
 from services.jobs.database import connect
-from services.jobs.job_list import listed, listed_outcome
-from services.jobs.models import Job, State
+from services.jobs.models import Job, State, listed, listed_outcome
 from services.jobs.scheduler import ANY_WORKER
 from services.pipeline.spec import parse
 from services.settings import Settings

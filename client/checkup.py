@@ -270,7 +270,7 @@ def _try(subject: str, attempt: Callable[[], tuple[str, str]], remedy: str) -> N
 
 
 def _device() -> tuple[str, str]:
-    from services.device import describe, device
+    from services.process import describe, device
 
     return "ok", describe(device())
 

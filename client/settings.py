@@ -32,8 +32,8 @@ def settings_to_run() -> Settings:
 
     Raises InvalidRequest, which names the variable, also for a device that is not there.
     """
-    from services.device import check_device
     from services.pipeline.extensions import set_up
+    from services.process import check_device
 
     settings = read_settings()
     set_up(settings)

@@ -50,16 +50,9 @@ def host_mistake(part: str) -> str | None:
     """Returns the reason why an entry, in lower case, is no name or IP address of a host; None if it is one."""
     if _address(part) is not None:
         return _written(part)
-    if "://" in part or "/" in part:
-        return f"a host is due, without scheme and path, such as {_host_in(part)!r}"
-    if "*" in part:
-        return "there are no wildcards; list each host"
-    name, colon, port = part.rpartition(":")
-    if colon and port.isdigit():
-        return f"a host is due, without a port: {name.strip('[]')!r}"
-    if part.startswith("[") and _address(part.strip("[]")) is not None:
-        return f"the brackets of an address belong to URLs: {part.strip('[]')!r}"
-    return None if _NAME.fullmatch(part) else "it is no name or IP address of a host"
+    if _NAME.fullmatch(part):
+        return None
+    return "a name or IP address of a host is due, without scheme, port, path, brackets and wildcards"
 
 
 def endpoint_mistake(part: str) -> str | None:
@@ -90,7 +83,3 @@ def _address(text: str) -> str | None:
         return str(read(text))
     except ValueError:
         return None
-
-
-def _host_in(text: str) -> str:
-    return text.partition("://")[2].partition("/")[0].rpartition("@")[2] or text.partition("/")[0]

@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from io import BufferedIOBase
 from pathlib import Path
-from typing import Any, Protocol, cast
+from typing import Any, cast
 
 from services import disk
 from services.errors import InvalidRequest
@@ -27,33 +27,8 @@ YOUNG_SECONDS = 1800.0
 SETTING = "SCENE_ATTACK_ARTIFACT_URL"
 
 
-class Blobs(Protocol):
-    """Files by name. Every operation raises OSError if the store cannot be reached, read or written."""
-
-    def write(self, name: str, data: bytes) -> None:
-        """Writes a file. Its bytes are safe when this returns."""
-
-    def open(self, name: str) -> BufferedIOBase:
-        """Opens a file for reading. Raises FileNotFoundError."""
-
-    def exists(self, name: str) -> bool:
-        """Whether there is a file of this name."""
-
-    def names(self) -> list[str]:
-        """The names of all files, sorted."""
-
-    def keep(self, name: str) -> bool:
-        """Says that a file is wanted. Returns False if it has to be written, as there is none or it is about to go."""
-
-    def remove(self, name: str, unwanted_seconds: float) -> None:
-        """Removes a file if it was neither written nor wanted within the last `unwanted_seconds`, if there is one."""
-
-    def delete(self, name: str) -> None:
-        """Removes a file at once, if there is one. Nobody may be about to write it."""
-
-
 class Folder:
-    """Files in a folder; a name may have folders of its own."""
+    """Files in a folder; a name may have folders of its own. Every operation raises OSError if it cannot be done."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -63,7 +38,7 @@ class Folder:
         disk.write(self._folder / name, data)
 
     def open(self, name: str) -> BufferedIOBase:
-        """Opens a file."""
+        """Opens a file for reading. Raises FileNotFoundError."""
         return (self._folder / name).open("rb")
 
     def exists(self, name: str) -> bool:
@@ -71,12 +46,12 @@ class Folder:
         return (self._folder / name).is_file()
 
     def names(self) -> list[str]:
-        """The names of all files; those that a killed process left half-written are none."""
+        """The names of all files, sorted; those that a killed process left half-written are none."""
         files = (path for path in self._folder.rglob("*") if path.is_file() and path.suffix != ".part")
         return sorted(str(path.relative_to(self._folder)) for path in files)
 
     def keep(self, name: str) -> bool:
-        """Says that a file is wanted."""
+        """Says that a file is wanted. Returns False if it has to be written, as there is none or it is about to go."""
         try:
             os.utime(self._folder / name)
         except FileNotFoundError:
@@ -84,7 +59,7 @@ class Folder:
         return True
 
     def remove(self, name: str, unwanted_seconds: float) -> None:
-        """Removes a file that is unwanted."""
+        """Removes a file if it was neither written nor wanted within the last `unwanted_seconds`, if there is one."""
         path = self._folder / name
         aside = path.with_name(f"{path.name}.{secrets.token_hex(8)}.part")
         with suppress(FileNotFoundError):
@@ -97,7 +72,7 @@ class Folder:
                 aside.unlink()
 
     def delete(self, name: str) -> None:
-        """Removes a file at once."""
+        """Removes a file at once, if there is one. Nobody may be about to write it."""
         (self._folder / name).unlink(missing_ok=True)
 
 
@@ -165,6 +140,9 @@ class Objects:
                 return time.time() - float(self._files.modified(f"{self._prefix}/{name}").timestamp())
         except FileNotFoundError:
             return math.inf
+
+
+Blobs = Folder | Objects
 
 
 def blobs(place: Path | str, part: str) -> Blobs:

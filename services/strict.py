@@ -1,20 +1,31 @@
-"""JSON that others write: the base class of its data, and words for what is wrong with a text and where.
+"""JSON that others write: the base class of its data, what is wrong with a text and where, and names in it.
 
 Numbers are numbers, the length of a list is checked before its items, and no text has the character U+0000, which
 PostgreSQL cannot store. Pydantic's own strict mode would also refuse a list in the place of a tuple, and an object in
 that of a model; JSON has nothing else to give. An integer of JSON counts as a number; a text or a boolean does not, and
 1.0 is no integer.
+
+Some fields name what may not be there: a mesh, an environment map, a material, a network. Such a name is looked up
+while the request is validated, so that one answer names all that is wrong with it. It is so only where the validation
+has a context that says how: a stored request stays readable when what it names has gone.
 """
 
 import json
 import sys
-from collections.abc import Callable, Sized
-from typing import Any
+from collections.abc import Callable, Mapping, Sized
+from typing import Any, Literal
 
-from pydantic import BaseModel, GetCoreSchemaHandler, model_validator
-from pydantic_core import CoreSchema, PydanticCustomError, PydanticKnownError, core_schema
+from pydantic import AfterValidator, BaseModel, GetCoreSchemaHandler, ValidationInfo, model_validator
+from pydantic_core import (
+    CoreSchema,
+    InitErrorDetails,
+    PydanticCustomError,
+    PydanticKnownError,
+    ValidationError,
+    core_schema,
+)
 
-from services.errors import shortened
+from services.errors import InvalidRequest, shortened
 
 MOST_FIELDS = 256
 """Fields of an object. No model has more, and no renderer more groups of parameters."""
@@ -102,6 +113,8 @@ class Strict(BaseModel):
 
 
 NESTED = f"it is nested deeper than {MOST_NESTED} lists and objects"
+
+
 _WORDS = {
     "Expecting value": "a value of JSON is missing",
     "Expecting ',' delimiter": "a comma or a closing bracket is missing",
@@ -143,3 +156,42 @@ def json_mistake(error: Exception) -> str:
     if "digits" in str(error):
         return f"it has a number of more than {sys.get_int_max_str_digits():,} digits"
     return shortened(error)
+
+
+Kind = Literal["mesh", "map", "material", "target"]
+Names = Mapping[Kind, Callable[[str], object]]
+"""A context of a validation: functions that raise InvalidRequest for a name of the kind that there is not."""
+UNKNOWN = "unknown_name"
+"""The type of the error in pydantic's list."""
+
+
+def reference(kind: Kind) -> AfterValidator:
+    """Returns the annotation of a text that names something of a kind."""
+
+    def check(value: str, info: ValidationInfo) -> str:
+        if info.context:
+            try:
+                info.context[kind](value)
+            except InvalidRequest as error:
+                raise unknown(error.detail) from error
+        return value
+
+    return AfterValidator(check)
+
+
+def unknown(detail: str) -> PydanticCustomError:
+    """The error of a name that there is not, in words."""
+    return PydanticCustomError(UNKNOWN, "{detail}", {"detail": detail})
+
+
+def unknown_parts(model: str, errors: tuple[InvalidRequest, ...], within: str, value: Any) -> ValidationError:
+    """The errors of names in the parts of the field `within` of a model, whose paths begin with that field.
+
+    A part is a field that may hold one name or a list of them.
+    """
+    items = []
+    for error in errors:
+        part, _, index = error.field.removeprefix(f"{within}.").partition(".")
+        loc = (part, "list", int(index)) if index else (part,)  # as pydantic does, with the alternative that was given
+        items.append(InitErrorDetails(type=unknown(error.detail), loc=loc, input=value))
+    return ValidationError.from_exception_data(model, items)

@@ -1,8 +1,7 @@
 """Texts that people write and read: what names, titles, tags and notes may not have, suggestions for unknown names, and
 numbers with a sign.
 
-A control character steers a terminal, and a bidirectional override shows a text in another order than it has. Names
-that are similar to an unknown one are so in spelling or in sound.
+A control character steers a terminal, and a bidirectional override shows a text in another order than it has.
 """
 
 import re
@@ -73,17 +72,12 @@ def _check(text: str, unfit: re.Pattern[str], what: str) -> None:
 MOST_SUGGESTED = 3
 MAX_SUGGESTED_LETTERS = 100
 """Longest name that is compared with others; comparing takes time that grows with its length."""
-_CLASSES = {
-    letter: code for code, letters in enumerate(("bfpv", "cgjkqsxz", "dt", "l", "mn", "r"), 1) for letter in letters
-}
-"""Consonants that sound alike, as Soundex (Russell 1918) has them."""
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
     """Returns the end of an error message about an unknown name: "; did you mean 'a' or 'b'?".
 
-    At most three known names are suggested: the closest in spelling first, and at least one that sounds like it, if
-    there is one. The result is empty if none is close.
+    At most three known names are suggested, the closest in spelling first. The result is empty if none is close.
     """
     names = closest(name, known)
     return f"; did you mean {' or '.join(map(repr, names))}?" if names else ""
@@ -93,34 +87,13 @@ def closest(name: str, known: Iterable[str]) -> list[str]:
     """Returns the known names that `did_you_mean` suggests for an unknown one, the closest first."""
     if len(name) > MAX_SUGGESTED_LETTERS:
         return []
-    names = list(known)
-    close = get_close_matches(name, names, n=MOST_SUGGESTED, cutoff=0.5)
-    heard = [other for other in _sounding_like(name, names) if other not in close][:1]
-    return [*close[: MOST_SUGGESTED - len(heard)], *heard]
+    return get_close_matches(name, list(known), n=MOST_SUGGESTED, cutoff=0.5)
 
 
 def there_are(name: str, known: Iterable[str]) -> str:
     """Returns the known names, and those that are similar to an unknown one: "there are a, b; did you mean 'a'?"."""
     names = list(known)
     return f"there are {', '.join(names)}{did_you_mean(name, names)}"
-
-
-def _sounding_like(name: str, known: Iterable[str]) -> list[str]:
-    """The known names that sound like a name, whole or without their folder."""
-    sounds = {sound(name), sound(name.rpartition("/")[2])}
-    sounds = {code for code in sounds if len(code) > 1}  # nearly everything sounds like a single consonant
-    return [other for other in known if {sound(other), sound(other.rpartition("/")[2])} & sounds]
-
-
-def sound(word: str) -> str:
-    """Returns the classes of a word's consonants, without vowels and repetitions; digits stay as "#" and the digit."""
-    word = re.sub(r"[^a-z0-9]", "", word.casefold().replace("ph", "f"))
-    result = ""
-    for letter in word:
-        code = f"#{letter}" if letter.isdigit() else str(_CLASSES.get(letter, ""))
-        if code and not result.endswith(code):
-            result += code
-    return result
 
 
 def signed(value: float, form: str) -> str:

@@ -12,8 +12,8 @@ import torch
 from torch import Tensor, nn
 
 from services import disk
+from services.attacks.outcome import wilson
 from services.scenes.library import Library
-from services.statistics import wilson
 from services.targets.networks.alexnet import AlexNet
 from services.targets.networks.resnet import ResNet
 from services.targets.weights_file import dequantize, load_into, quantize, to_bytes

@@ -17,11 +17,10 @@ from typing import Any
 
 from services import disk
 from services.analysis.images import png
-from services.device import device
 from services.errors import Cancelled, InvalidRequest, JobFailure, out_of_memory, summary
 from services.jobs.database import connect as connect_database
 from services.jobs.database import outage_of
-from services.jobs.files import ArtifactStore, Damaged, Storage, WorkingFiles, media_type
+from services.jobs.files import ArtifactStore, Damaged, Storage, WorkingFiles
 from services.jobs.leases import Attempt, Standing
 from services.jobs.models import Artifact, Job, JobKind
 from services.jobs.processes import connect, give_way, memory_limit, more_than, reply, requests, warm_up
@@ -32,8 +31,9 @@ from services.pipeline.analyse import decode_image, rerender_image
 from services.pipeline.campaign_plan import View
 from services.pipeline.campaign_run import first_answers
 from services.pipeline.execute import Progress, best_so_far, execute
-from services.pipeline.result import CHECKPOINT, JobWarning, Result, outcome
+from services.pipeline.result import CHECKPOINT, JobWarning, outcome
 from services.pipeline.spec import RENDERING, SENT_IMAGE, JobSpec, RerenderingSpec, RerenderingView, digest, parse
+from services.process import device
 from services.scenes.library import Library
 from services.settings import Settings
 from services.targets.info import TARGETS
@@ -102,82 +102,6 @@ def finite(record: dict[str, Any]) -> dict[str, Any]:
     return record
 
 
-class KeptFiles:
-    """Puts the files of jobs into the store, and takes the checkpoint from it that a job is to go on from."""
-
-    def __init__(
-        self,
-        record: Record,
-        store: ArtifactStore,
-        working_files: WorkingFiles,
-        library: Library,
-        storage: Storage,
-    ) -> None:
-        self._record = record
-        self._store = store
-        self._working_files = working_files
-        self._library = library
-        self._storage = storage
-
-    def go_on(self, attempt: Attempt, path: Path) -> None:
-        """Writes the checkpoint that the job is to go on from, if it has one and has made none of its own yet."""
-        if path.exists():
-            return
-        try:
-            checkpoint = self.given(attempt, CHECKPOINT)
-            if checkpoint is not None:
-                disk.write(path, checkpoint)
-        except (FileNotFoundError, Damaged) as error:
-            log.warning("checkpoint gone, the job begins again", job=attempt.job_id, error=str(error))
-
-    def given(self, attempt: Attempt, name: str) -> bytes | None:
-        """The bytes of a file that the job began with, or None. Raises FileNotFoundError and Damaged."""
-        artifact = self._record.jobs.artifact(attempt.job_id, name)
-        if artifact is None:
-            return None
-        with self._store.open(artifact.sha256) as file:
-            return file.read()
-
-    def left(self, attempt: Attempt, job: Job) -> list[Artifact]:
-        """The files of an attack that ends early: its checkpoint, and the best that it has found, rendered exactly.
-
-        There are none if the disk is full: what space is left is for the record of the job's end.
-        """
-        path = self._working_files.left_of(attempt.job_id)
-        if job.kind is not JobKind.ATTACK or not path.exists():
-            return []
-        if not self._storage.usable():
-            log.warning("checkpoint not kept, the disk is full", job=attempt.job_id)
-            return []
-        try:
-            with self._working_files.attempt_directory(attempt) as out:
-                try:
-                    best_so_far(parse(job.spec), path, out, self._library)
-                except Exception as error:
-                    log.warning("best so far not rendered", job=attempt.job_id, exc_info=error)
-                shutil.copyfile(path, out / CHECKPOINT)
-                return self.stored(attempt, out)
-        except OSError as error:
-            log.warning("checkpoint not kept", job=attempt.job_id, error=str(error))
-            return []
-
-    def stored(self, attempt: Attempt, out: Path) -> list[Artifact]:
-        """The files of a directory, put into the store."""
-        artifacts = []
-        for file in sorted(out.iterdir()):
-            stored = self._store.put(file)
-            artifacts.append(
-                Artifact(
-                    job_id=attempt.job_id,
-                    name=file.name,
-                    sha256=stored.sha256,
-                    media_type=media_type(file.name),
-                    size=stored.size,
-                )
-            )
-        return artifacts
-
-
 class Jobs:
     """The record, the files, the library and the working files, which the process keeps between jobs."""
 
@@ -185,9 +109,8 @@ class Jobs:
         self._record = Record(connect_database(settings))
         self._library = Library(settings.cache_dir, settings.files)
         self._working_files = WorkingFiles(settings.data_dir, settings.files)
-        store = ArtifactStore(settings.files)
-        storage = Storage(settings.data_dir, store)
-        self._kept = KeptFiles(self._record, store, self._working_files, self._library, storage)
+        self._store = ArtifactStore(settings.files)
+        self._storage = Storage(settings.data_dir, self._store)
         self._memory = memory_limit(settings)
         self._seconds = settings.job_seconds - min(KEEPING_SECONDS, KEEPING_SHARE * settings.job_seconds)
 
@@ -207,42 +130,28 @@ class Jobs:
                 self._attack(attempt, job, reporter)
         except Cancelled:
             cancelled = record.leases.standing(attempt) is Standing.CANCEL  # and it was not taken back
-            record.leases.cancelled(attempt, self._kept.left(attempt, job) if cancelled else ())
+            record.leases.cancelled(attempt, self._left(attempt, job) if cancelled else ())
         except (Exception, SystemExit) as error:  # an extension's code may end the process it is run in
             if outage_of(error) is not None:
                 raise
-            failure = classify(error, self._memory)
-            log.warning("job failed", kind=failure.kind, exc_info=error)
-            record.leases.fail(attempt, failure.kind, failure.detail, self._kept.left(attempt, job))
+            if isinstance(error, InvalidRequest) and not job.checked:
+                log.info("job rejected", error=str(error))
+                record.leases.reject(attempt, error)
+            else:
+                failure = classify(error, self._memory)
+                log.warning("job failed", kind=failure.kind, exc_info=error)
+                record.leases.fail(attempt, failure.kind, failure.detail, self._left(attempt, job))
         self._working_files.forget(record, attempt.job_id)
 
     def _attack(self, attempt: Attempt, job: Job, reporter: Reporter) -> None:
-        record, unchecked = self._record, not job.checked
-
         def checked(spec: JobSpec, warnings: Sequence[JobWarning]) -> None:
-            nonlocal unchecked
-            if unchecked:
-                unchecked = False
-                record.leases.checked(attempt, spec.model_dump(mode="json"), digest(spec), warnings)
+            if not job.checked:
+                job.checked = True
+                self._record.leases.checked(attempt, spec.model_dump(mode="json"), digest(spec), warnings)
 
-        try:
-            self._execute(attempt, job, reporter, checked)
-        except InvalidRequest as error:
-            if not unchecked:
-                raise
-            log.info("job rejected", error=str(error))
-            record.leases.reject(attempt, error)
-
-    def _execute(
-        self,
-        attempt: Attempt,
-        job: Job,
-        reporter: Reporter,
-        checked: Callable[[JobSpec, Sequence[JobWarning]], None],
-    ) -> None:
         with self._working_files.attempt_directory(attempt) as out:
             with self._working_files.checkpoint(attempt) as checkpoint:
-                self._kept.go_on(attempt, checkpoint)
+                self._go_on(attempt, checkpoint)
                 result = execute(
                     parse(job.spec),
                     out,
@@ -252,7 +161,8 @@ class Jobs:
                     checkpoint=checkpoint,
                     checked=checked,
                 )
-            self._keep(attempt, result, out)
+            record = finite(result.model_dump(mode="json"))
+            self._record.leases.succeed(attempt, record, outcome(result), self._stored(attempt, out))
 
     def _rerender(self, attempt: Attempt, job: Job, reporter: Reporter) -> None:
         """Fits a scene to an image. An attempt that follows another one begins again."""
@@ -265,24 +175,18 @@ class Jobs:
 
         try:
             reporter.progress(Progress(phase="loading", steps=spec.fit.steps))
-            data = self._kept.given(attempt, SENT_IMAGE)
+            data = self._given(attempt, SENT_IMAGE)
             if data is None:
                 raise JobFailure("asset-missing", "the job's image is gone")
             image = decode_image(data, spec.scene.camera.size)
             rerendering, rendered = rerender_image(image, spec.attack(), spec.fit, self._library, tick)
         except (FileNotFoundError, Damaged) as error:
             raise JobFailure("asset-missing", f"the job's image is gone: {error}") from error
-        except InvalidRequest as error:
-            if job.checked:
-                raise
-            log.info("job rejected", error=str(error))
-            self._record.leases.reject(attempt, error)
-            return
         rendering = png(rendered)
         view = RerenderingView(rerendering=rerendering, png=base64.b64encode(rendering).decode())
         with self._working_files.attempt_directory(attempt) as out:
             (out / RENDERING).write_bytes(rendering)
-            files = self._kept.stored(attempt, out)
+            files = self._stored(attempt, out)
             self._record.leases.succeed(attempt, finite(view.model_dump(mode="json")), {}, files)
 
     def _select(self, attempt: Attempt, job: Job, reporter: Reporter) -> None:
@@ -294,9 +198,54 @@ class Jobs:
             self._record.leases.progress(attempt, "selecting", len(answers), len(asked), [])
         self._record.leases.succeed(attempt, {"answers": answers}, {}, [])
 
-    def _keep(self, attempt: Attempt, result: Result, out: Path) -> None:
-        record = finite(result.model_dump(mode="json"))
-        self._record.leases.succeed(attempt, record, outcome(result), self._kept.stored(attempt, out))
+    def _go_on(self, attempt: Attempt, path: Path) -> None:
+        """Writes the checkpoint that the job is to go on from, if it has one and has made none of its own yet."""
+        if path.exists():
+            return
+        try:
+            checkpoint = self._given(attempt, CHECKPOINT)
+            if checkpoint is not None:
+                disk.write(path, checkpoint)
+        except (FileNotFoundError, Damaged) as error:
+            log.warning("checkpoint gone, the job begins again", job=attempt.job_id, error=str(error))
+
+    def _given(self, attempt: Attempt, name: str) -> bytes | None:
+        """The bytes of a file that the job began with, or None. Raises FileNotFoundError and Damaged."""
+        artifact = self._record.jobs.artifact(attempt.job_id, name)
+        if artifact is None:
+            return None
+        with self._store.open(artifact.sha256) as file:
+            return file.read()
+
+    def _left(self, attempt: Attempt, job: Job) -> list[Artifact]:
+        """The files of an attack that ends early: its checkpoint, and the best that it has found, rendered exactly.
+
+        There are none if the disk is full: what space is left is for the record of the job's end.
+        """
+        path = self._working_files.left_of(attempt.job_id)
+        if job.kind is not JobKind.ATTACK or not path.exists():
+            return []
+        if not self._storage.usable():
+            log.warning("checkpoint not kept, the disk is full", job=attempt.job_id)
+            return []
+        try:
+            with self._working_files.attempt_directory(attempt) as out:
+                try:
+                    best_so_far(parse(job.spec), path, out, self._library)
+                except Exception as error:
+                    log.warning("best so far not rendered", job=attempt.job_id, exc_info=error)
+                shutil.copyfile(path, out / CHECKPOINT)
+                return self._stored(attempt, out)
+        except OSError as error:
+            log.warning("checkpoint not kept", job=attempt.job_id, error=str(error))
+            return []
+
+    def _stored(self, attempt: Attempt, out: Path) -> list[Artifact]:
+        """The files of a directory, put into the store."""
+        artifacts = [self._store.put(file) for file in sorted(out.iterdir())]
+        for artifact in artifacts:
+            artifact.job_id = attempt.job_id
+        return artifacts
 
 
 def classify(error: BaseException, memory: int) -> JobFailure:

@@ -8,18 +8,15 @@ from collections.abc import Callable
 from redis.exceptions import RedisError
 from sqlalchemy.exc import SQLAlchemyError
 
-from services.device import check_device
 from services.jobs.campaigns import Feeder
 from services.jobs.database import connect as connect_database
 from services.jobs.database import migrate
-from services.jobs.files import ArtifactStore, Housekeeping
+from services.jobs.files import Housekeeping
 from services.jobs.queue import Queue, reconcile
 from services.jobs.queue import connect as connect_redis
 from services.jobs.record import Record
-from services.jobs.uploads import DeletedAssets
 from services.logs import configure, logger
-from services.process import use
-from services.scenes.library import Library
+from services.process import check_device, use
 from services.settings import Settings
 from worker.supervisor import Program, Supervisor
 
@@ -80,10 +77,7 @@ def housekeeping(values: Settings, record: Record) -> Callable[[], None]:
     """
     queue = Queue(connect_redis(values.redis_url))
     feeder = Feeder(record.database, max(QUEUED_OF_CAMPAIGNS, values.workers))
-    store = ArtifactStore(values.files)
-    meshes = values.cache_dir / "meshes", values.cache_bytes
-    deleted = DeletedAssets(record.database, Library(values.cache_dir, values.files))
-    house = Housekeeping(record, store, values.data_dir, values.retention_days, meshes, deleted, values.files)
+    house = Housekeeping(record, values)
     failing = False
 
     def tick() -> None:

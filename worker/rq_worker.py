@@ -107,7 +107,7 @@ class Runner:
             self.close()
             raise ChildDied from error
         self._jobs, self._memory = 0, child.memory()
-        self._abilities = Abilities.of(ready["abilities"])
+        self._abilities = Abilities(**ready["abilities"])
         log.info("job process ready", pid=child.pid, seconds=round(time.monotonic() - started, 2))
 
     def _needs_replacement(self) -> bool:

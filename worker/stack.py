@@ -23,14 +23,13 @@ from redis.exceptions import RedisError
 from sqlalchemy import Engine
 
 from services.access.keys import check_listening, listen
-from services.device import check_device
 from services.errors import InvalidRequest, JobFailure
 from services.jobs.database import connect as connect_database
 from services.jobs.database import migrate
 from services.jobs.queue import connect as connect_redis
 from services.jobs.record import Record
 from services.logs import configure, logger
-from services.process import use
+from services.process import check_device, use
 from services.settings import Settings
 from worker.main import housekeeping, workers
 from worker.supervisor import Program, Supervisor

@@ -31,7 +31,7 @@ from services.analysis.campaign_table import (
     worst,
 )
 from services.errors import InvalidRequest
-from services.jobs.campaigns import CampaignService, Counts, Progress
+from services.jobs.campaigns import Campaigns, Counts, Progress
 from services.jobs.models import Campaign, CampaignState
 from services.pipeline.campaign_plan import ChosenView, nothing_chosen
 
@@ -95,11 +95,11 @@ class Cases:
     measures: tuple[str, ...] = GRID_MEASURES
 
 
-def cases(service: CampaignService, campaign: Campaign, choice: Choice) -> Cases:
+def cases(record: Campaigns, campaign: Campaign, choice: Choice) -> Cases:
     """The cases of a campaign, which must have been read whole, as `choice` asks."""
-    rows, choice = service.cases(campaign), choice.valid()
+    rows, choice = record.case_rows(campaign), choice.valid()
     heat_map = grid(rows, choice.rows, choice.columns, choice.measure)
-    parts = part_means(service.record.attributions(campaign.id, ATTRIBUTED))
+    parts = part_means(record.attributions(campaign.id, ATTRIBUTED))
     opened = [case for case in rows if _is_in(case, choice)]
     return Cases(
         choice=choice,
@@ -265,7 +265,7 @@ def campaign_part(campaign_id: str, services: ServicesDependency, caller: Caller
 @router.post("/campaigns/{campaign_id}/{move}")
 def move(campaign_id: str, move: str, services: ServicesDependency, caller: CallerDependency) -> Response:
     """Pauses, resumes or cancels a campaign, as the buttons on its page ask, and redirects to the page."""
-    record = services.campaigns.record
+    record = services.record.campaigns
     moves = {"pause": record.pause, "resume": record.resume, "cancel": record.cancel}
     if move not in moves or caller.visible(record.get(campaign_id)) is None:
         raise no_such("campaign")
@@ -280,7 +280,7 @@ def _list(
         before = None if cursor is None else read_campaign_cursor(cursor)
     except InvalidRequest:
         before = None
-    record = services.campaigns.record
+    record = services.record.campaigns
     rows = record.page(state, PAGE + 1, before, owner=caller.only)
     older = campaign_cursor(rows[PAGE - 1]) if len(rows) > PAGE else None
     progress = record.progress([row.id for row in rows])
@@ -291,15 +291,15 @@ def _list(
 def _campaign(
     template: str, campaign_id: str, services: Services, caller: Caller, choice: Choice | None = None
 ) -> Response:
-    stored = caller.visible(services.campaigns.record.get(campaign_id, whole=True))
+    stored = caller.visible(services.record.campaigns.get(campaign_id, whole=True))
     if stored is None:
         raise no_such("campaign")
-    result = services.campaigns.result(stored, curves=False)
+    result = services.record.campaigns.result(stored, curves=False)
     attacked = sorted(result.views, key=lambda view: not view.chosen)
     page = Page(
         campaign=stored,
-        progress=services.campaigns.progress(stored),
-        counts=services.campaigns.counts(stored.id),
+        progress=services.record.campaigns.progress([stored.id])[stored.id],
+        counts=services.campaign_counts(stored.id),
         table=result.table,
         by_queries=_charts(result.table, "queries"),
         by_seconds=_charts(result.table, "seconds"),
@@ -311,7 +311,7 @@ def _campaign(
     )
     if choice is None:
         return html(template, caller=caller, page=page)
-    return html(template, caller=caller, page=page, cases=cases(services.campaigns, stored, choice))
+    return html(template, caller=caller, page=page, cases=cases(services.record.campaigns, stored, choice))
 
 
 def _charts(table: Table, along: Along) -> list[Chart]:

@@ -111,10 +111,10 @@ def compare_campaigns(
     ids = named(campaigns, campaign, "campaigns, as in /compare/campaigns?campaigns=a,b")
     compared = []
     for letter, campaign_id in zip(LETTERS, ids, strict=False):
-        stored = caller.visible(services.campaigns.record.get(campaign_id, whole=True))
+        stored = caller.visible(services.record.campaigns.get(campaign_id, whole=True))
         if stored is None:
             raise no_such(f"campaign as {campaign_id}")
-        table = services.campaigns.result(stored, curves=False).table
+        table = services.record.campaigns.result(stored, curves=False).table
         about = (stored.name, f"/campaigns/{stored.id}", stored.state, stored.spec)
         compared.append(ComparedCampaign(letter, *about, table))
     rows = _campaign_rows(compared, against)

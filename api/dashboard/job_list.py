@@ -16,6 +16,7 @@ from api.requests import CallerDependency, Services, ServicesDependency
 from api.schemas import MOST_TAGS, TAG_WORDS, is_tag
 from services.access.caller import Caller
 from services.errors import InUse, InvalidRequest, QuotaExceeded
+from services.jobs.files import delete_with_files
 from services.jobs.job_list import EXAMPLE, LONGEST_QUERY, ListedJob, ListTotals, parse_query
 from services.jobs.jobs import QueueFull
 from services.jobs.models import State
@@ -137,7 +138,7 @@ def _act(services: Services, caller: Caller, action: str, job_id: str, tag: str)
     if action == "cancel":
         services.record.jobs.request_cancel(job_id)
     elif action == "delete":
-        services.housekeeping.delete(job_id)
+        delete_with_files(services.record, services.store, job_id)
     elif action == "tag":
         tags = {*(job.tags or []), tag}
         if len(tags) > MOST_TAGS:

@@ -21,7 +21,7 @@ from api.routes.jobs import continued
 from api.schemas import JobEdit
 from services.access.caller import Caller
 from services.errors import InvalidFields
-from services.jobs.files import Damaged
+from services.jobs.files import Damaged, delete_with_files
 from services.jobs.models import Artifact, Job, JobKind
 from services.pipeline.field_errors import invalid_fields
 from services.pipeline.result import BEST_SO_FAR
@@ -147,7 +147,7 @@ def again(job: KnownJob, services: ServicesDependency, caller: CallerDependency)
 @router.post("/jobs/{job_id}/delete")
 def delete(job: KnownJob, services: ServicesDependency) -> Response:
     """Deletes a job that has ended, with its files, and goes to the list."""
-    services.housekeeping.delete(job.id)
+    delete_with_files(services.record, services.store, job.id)
     return _to("/")
 
 

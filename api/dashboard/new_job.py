@@ -20,10 +20,9 @@ from services.errors import InvalidRequest
 from services.jobs.processes import WARM_PROCESSES
 from services.jobs.scheduler import Demand
 from services.jobs.states import Priority
-from services.names import Names
 from services.pipeline.spec import JobSpec, problems
 from services.rendering.declaration import RENDERERS
-from services.strict import NotJson, read_json
+from services.strict import Names, NotJson, read_json
 from services.targets.info import available
 
 FIRST = ("furniture/grand-piano", "furniture/soccer-ball", "primitive/sphere")

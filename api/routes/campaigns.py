@@ -39,7 +39,7 @@ router = APIRouter(prefix="/v1/campaigns", tags=["campaigns"])
 
 def whole_campaign(campaign_id: str, services: ServicesDependency, caller: CallerDependency) -> Campaign:
     """The campaign with the id in the path, with its request and views. Answers 404 if there is none for the caller."""
-    campaign = caller.visible(services.campaigns.record.get(campaign_id, whole=True))
+    campaign = caller.visible(services.record.campaigns.get(campaign_id, whole=True))
     if campaign is None:
         raise no_such("campaign")
     return campaign
@@ -66,11 +66,11 @@ async def submit_campaign(
     key = None
     if idempotency_key is not None:
         key = Key(idempotency_key, await run_in_threadpool(request_digest, spec), caller.owner)
-    campaign = None if key is None else await run_in_threadpool(services.campaigns.record.of_key, key)
+    campaign = None if key is None else await run_in_threadpool(services.record.campaigns.of_key, key)
     if campaign is None:
         await while_connected(request, services.checks.check_campaign(spec, caller))
         whose, most = caller.owner, services.quotas.campaigns_of(caller.owner)
-        campaign = await run_in_threadpool(services.campaigns.submit, spec, idempotency_key, whose, asked, most)
+        campaign = await run_in_threadpool(services.record.campaigns.submit, spec, idempotency_key, whose, asked, most)
     # The answer to a long list of jobs is large, so it is written in a thread too.
     answer = await run_in_threadpool(lambda: CampaignView.accepted(campaign, spec).model_dump_json())
     headers = {"Location": f"/v1/campaigns/{campaign.id}"}
@@ -86,7 +86,7 @@ def list_campaigns(
     cursor: Annotated[str | None, Query(max_length=200, description="`next` of the page before")] = None,
 ) -> CampaignPage:
     """Lists campaigns, newest first."""
-    record = services.campaigns.record
+    record = services.record.campaigns
     rows = record.page(state, limit + 1, None if cursor is None else read_campaign_cursor(cursor), caller.only)
     progress = record.progress([campaign.id for campaign in rows])
     return CampaignPage(
@@ -107,14 +107,14 @@ def pause_campaign(campaign: WholeCampaign, services: ServicesDependency) -> Cam
 
     A campaign that is paused or has ended stays as it is.
     """
-    services.campaigns.record.pause(campaign.id)
+    services.record.campaigns.pause(campaign.id)
     return _view(_again(campaign, services), services)
 
 
 @router.post("/{campaign_id}/resume", status_code=202)
 def resume_campaign(campaign: WholeCampaign, services: ServicesDependency) -> CampaignView:
     """Lets a paused campaign go on. A campaign that is not paused stays as it is."""
-    services.campaigns.record.resume(campaign.id)
+    services.record.campaigns.resume(campaign.id)
     return _view(_again(campaign, services), services)
 
 
@@ -124,7 +124,7 @@ def cancel_campaign(campaign: WholeCampaign, services: ServicesDependency) -> Ca
 
     A campaign that has ended stays as it is.
     """
-    services.storage.even_if_full(lambda: services.campaigns.record.cancel(campaign.id))
+    services.storage.even_if_full(lambda: services.record.campaigns.cancel(campaign.id))
     return _view(_again(campaign, services), services)
 
 
@@ -142,7 +142,7 @@ def list_campaign_jobs(
     after: Annotated[int, Query(ge=-1, le=2**31 - 1, description="number of a job; the page begins after it")] = -1,
 ) -> CampaignJobPage:
     """Lists the planned jobs in the order in which they are queued."""
-    rows = services.campaigns.record.jobs(campaign.id, limit + 1, after)
+    rows = services.record.campaigns.jobs(campaign.id, limit + 1, after)
     items = [CampaignJobView.of(planned, job) for planned, job in rows[:limit]]
     return CampaignJobPage(items=items, next=items[-1].number if len(rows) > limit else None)
 
@@ -150,7 +150,7 @@ def list_campaign_jobs(
 @router.get("/{campaign_id}/table.json")
 def get_campaign_table(campaign: WholeCampaign, services: ServicesDependency) -> CampaignResult:
     """Returns the table of the jobs that have ended, the mean curves of their traces, and all views."""
-    return services.campaigns.result(campaign)
+    return services.record.campaigns.result(campaign)
 
 
 @router.get(
@@ -160,7 +160,7 @@ def get_campaign_table(campaign: WholeCampaign, services: ServicesDependency) ->
 )
 def get_campaign_table_csv(campaign: WholeCampaign, services: ServicesDependency) -> Response:
     """Returns the table as CSV, one line for each target and attack."""
-    return Response(to_csv(services.campaigns.result(campaign, curves=False).table), media_type="text/csv")
+    return Response(to_csv(services.record.campaigns.result(campaign, curves=False).table), media_type="text/csv")
 
 
 @router.get(
@@ -170,7 +170,7 @@ def get_campaign_table_csv(campaign: WholeCampaign, services: ServicesDependency
 )
 def get_campaign_table_latex(campaign: WholeCampaign, services: ServicesDependency) -> Response:
     """Returns the table as LaTeX, in the paper's layout, for the package booktabs."""
-    return Response(to_latex(services.campaigns.result(campaign, curves=False).table), media_type="text/x-tex")
+    return Response(to_latex(services.record.campaigns.result(campaign, curves=False).table), media_type="text/x-tex")
 
 
 @router.get(
@@ -180,11 +180,11 @@ def get_campaign_table_latex(campaign: WholeCampaign, services: ServicesDependen
 )
 def get_campaign_cases_csv(campaign: WholeCampaign, services: ServicesDependency) -> Response:
     """Returns the jobs that have ended as CSV, one line for each, with scene, seed, outcome, p, queries and seconds."""
-    return Response(cases_to_csv(services.campaigns.cases(campaign)), media_type="text/csv")
+    return Response(cases_to_csv(services.record.campaigns.case_rows(campaign)), media_type="text/csv")
 
 
 def _again(campaign: Campaign, services: Services) -> Campaign:
-    stored = services.campaigns.record.get(campaign.id, whole=True)
+    stored = services.record.campaigns.get(campaign.id, whole=True)
     if stored is None:
         raise no_such("campaign")
     return stored
@@ -192,5 +192,5 @@ def _again(campaign: Campaign, services: Services) -> Campaign:
 
 def _view(campaign: Campaign, services: Services) -> CampaignView:
     return CampaignView.of_whole(
-        campaign, services.campaigns.progress(campaign), services.campaigns.counts(campaign.id)
+        campaign, services.record.campaigns.progress([campaign.id])[campaign.id], services.campaign_counts(campaign.id)
     )

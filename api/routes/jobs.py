@@ -27,6 +27,7 @@ from api.requests import (
 from api.schemas import JobEdit, JobPage, JobSummary, JobView, PreviewView
 from api.submissions import key_of
 from services.access.caller import Caller
+from services.jobs.files import delete_with_files
 from services.jobs.job_list import EXAMPLE, LONGEST_QUERY, Term, parse_query
 from services.jobs.models import Job, State
 from services.pipeline.preview_record import PlannedCost
@@ -182,7 +183,7 @@ def retry_job(job: KnownJob, services: ServicesDependency, caller: CallerDepende
 @router.delete("/jobs/{job_id}", status_code=204)
 def delete_job(job: KnownJob, services: ServicesDependency) -> None:
     """Deletes a job that has ended, with its files. Answers 409 while it has not, or if a campaign refers to it."""
-    services.housekeeping.delete(job.id)
+    delete_with_files(services.record, services.store, job.id)
 
 
 @router.post("/jobs/{job_id}/cancel", status_code=202)

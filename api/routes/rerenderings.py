@@ -106,5 +106,6 @@ def _stored(image: bytes, services: Services) -> Artifact:
     with NamedTemporaryFile() as file:
         file.write(image)
         file.flush()
-        stored = services.store.put(Path(file.name))
-    return Artifact(name=SENT_IMAGE, sha256=stored.sha256, media_type="application/octet-stream", size=stored.size)
+        artifact = services.store.put(Path(file.name))
+    artifact.name = SENT_IMAGE
+    return artifact

@@ -81,8 +81,7 @@ def worker(workers: WorkersOption = None, data: DataOption = None) -> None:
 def _settings(**options: str | int | Path | None) -> "Settings":
     """The settings of a service, whose device and kernels are there. Names the variables that are no settings."""
     from client.settings import read_settings, unknown_variables
-    from services.device import check_device
-    from services.process import use
+    from services.process import check_device, use
     from services.rendering.kernels.build import check_kernels
 
     settings = read_settings(**options)

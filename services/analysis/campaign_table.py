@@ -16,7 +16,7 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from services.statistics import NORMAL_95, wilson
+from services.attacks.outcome import NORMAL_95, wilson
 
 
 class _Record(BaseModel):

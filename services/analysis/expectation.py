@@ -4,12 +4,11 @@ from collections.abc import Callable, Collection
 
 from services.analysis.records import HeldOver
 from services.attacks.goal import ResolvedGoal
-from services.attacks.outcome import SUCCESS, judge
+from services.attacks.outcome import SUCCESS, judge, wilson
 from services.attacks.problem import draw_variation
 from services.attacks.request import Expectation
 from services.attacks.run import Verifier
 from services.rendering.protocol import Parameters
-from services.statistics import wilson
 
 
 def held_over(

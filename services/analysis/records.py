@@ -5,9 +5,9 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from services.attacks.outcome import Verdict
-from services.names import reference
 from services.rendering.physical_change import PhysicalChange
 from services.scenes.description import Model
+from services.strict import reference
 
 Name = Annotated[str, Field(min_length=1, max_length=100)]
 Steps = Annotated[int, Field(ge=1, le=10_000)]

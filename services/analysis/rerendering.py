@@ -27,8 +27,8 @@ from services.analysis.records import AdaptiveAttack, Explanation, Interpretatio
 from services.attacks.goal import ResolvedGoal
 from services.attacks.problem import check_graph
 from services.attacks.run import Verifier
-from services.device import finite
 from services.errors import JobFailure
+from services.process import finite
 from services.rendering.color import from_bytes, to_bytes
 from services.rendering.protocol import Parameters, Renderer
 from services.targets.scores import probability

@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 
 from services.attacks.attack import DifferencesWithinLimits, Rate, register
 from services.attacks.spsa import both_ways, draw_directions, moved_by_adam
-from services.names import reference
+from services.strict import reference
 
 if TYPE_CHECKING:
     from torch import Tensor

@@ -20,8 +20,8 @@ from torch import Tensor
 from services.attacks.goal import ResolvedGoal, loss
 from services.attacks.limits import Constraint, Layout, Limits, pulled_back
 from services.attacks.request import Expectation, Loss
-from services.device import finite
 from services.errors import JobFailure, named
+from services.process import finite
 from services.rendering import color
 from services.rendering.protocol import BOUND_SLACK, Renderer
 from services.rendering.variation import Variation, noisy, varied

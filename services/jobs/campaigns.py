@@ -7,7 +7,7 @@ planned, and queued a few at a time, so that single jobs never wait behind more 
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import datetime
 from functools import partial
 from hashlib import sha256
@@ -15,7 +15,6 @@ from math import degrees
 from typing import Any
 from uuid import uuid4
 
-from redis.exceptions import RedisError
 from sqlalchemy import func, select, tuple_, update
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session, defer, undefer
@@ -26,7 +25,6 @@ from services.jobs.database import Database, now
 from services.jobs.jobs import Key, KeyReused, add_job
 from services.jobs.leases import change_state
 from services.jobs.models import Campaign, CampaignJob, CampaignState, Job, JobKind, State, not_paused, place
-from services.jobs.queue import Queue
 from services.jobs.scheduler import CAMPAIGNS, Demand
 from services.jobs.uploads import check_held, refer_from_campaign, titles, uploads_among
 from services.logs import logger
@@ -48,21 +46,6 @@ from services.pipeline.campaign_spec import CampaignSpec
 from services.pipeline.check import check_campaign_meshes, meshes_of
 from services.pipeline.result import Result
 
-
-@dataclass(frozen=True)
-class EndedJob:
-    """A planned job that has ended: its number in the campaign, that of its view, its seed, its id, and its case.
-
-    The id is None if the job was deleted since.
-    """
-
-    number: int
-    view: int
-    seed: int
-    job: str | None
-    case: Case
-
-
 ENDED_SECONDS = 60.0
 """Time after which an owner with too many campaigns may try again."""
 _OPEN = [state for state in CampaignState if not state.terminal]
@@ -78,31 +61,53 @@ class Progress:
     running: int
 
 
+@dataclass(frozen=True)
+class Counts:
+    """The results of a campaign so far, in numbers."""
+
+    outcomes: dict[str, int]
+    successes: int
+    reused: int
+    seconds_left: float | None
+
+
 class Campaigns:
     """The record of campaigns, as clients see and change it."""
 
     def __init__(self, database: Database) -> None:
         self._database = database
 
-    def create(
+    def submit(
         self,
         spec: CampaignSpec,
-        view_count: int,
-        digest: str,
         key: str | None,
         owner: str = "",
         demand: Demand = CAMPAIGNS,
         owner_campaigns: int | None = None,
     ) -> Campaign:
-        """Records a new campaign and returns it, or the first one of the key if it was used before.
+        """Records a checked campaign; the supervisor queues its jobs. Returns it, or the first one of the key.
 
         Raises KeyReused if the key came with another request, QuotaExceeded if `owner_campaigns` of the owner have not
-        ended, InvalidRequest if a mesh of the request was deleted, and IntegrityError if another process records the
-        same key at the same moment.
+        ended, and InvalidRequest if a mesh of the request was deleted.
         """
+        digest = request_digest(spec)
+        client_key = None if key is None else Key(key, digest, owner)
+        try:
+            return self._create(spec, digest, client_key, owner, demand, owner_campaigns)
+        except IntegrityError:  # another process recorded the same key at the same moment
+            return self._create(spec, digest, client_key, owner, demand, owner_campaigns)
+
+    def _create(
+        self,
+        spec: CampaignSpec,
+        digest: str,
+        key: Key | None,
+        owner: str,
+        demand: Demand,
+        owner_campaigns: int | None,
+    ) -> Campaign:
         with self._database.write(durable=True) as session:
-            client_key = None if key is None else Key(key, digest, owner)
-            if client_key is not None and (first := _first(session, client_key)) is not None:
+            if key is not None and (first := _first(session, key)) is not None:
                 return first
             if owner_campaigns is not None:
                 own = (Campaign.owner == owner, Campaign.state.in_(_OPEN))
@@ -117,10 +122,10 @@ class Campaigns:
                 state=CampaignState.SELECTING,
                 spec=spec.model_dump(mode="json"),
                 created_at=now(session),
-                view_count=view_count,
-                key=None if client_key is None else client_key.stored,
+                view_count=len(views(spec)),
+                key=None if key is None else key.stored,
                 owner=owner,
-                demand=demand.record(),
+                demand=asdict(demand),
                 request_digest=digest,
             )
             session.add(campaign)
@@ -233,11 +238,29 @@ class Campaigns:
     def cases(self, campaign_id: str) -> tuple[list[tuple[str, str]], list[Case]]:
         """(target, attack) of every planned job, and the cases of those that have ended, both in their order."""
         columns = select(CampaignJob.target, CampaignJob.attack, CampaignJob.ended, CampaignJob.case)
+        own = columns.where(CampaignJob.campaign_id == campaign_id).order_by(CampaignJob.number)
         with self._database.read() as session:
-            rows = session.execute(
-                columns.where(CampaignJob.campaign_id == campaign_id).order_by(CampaignJob.number)
-            ).all()
+            rows = session.execute(own).all()
         return [(row.target, row.attack) for row in rows], [Case.model_validate(row.case) for row in rows if row.ended]
+
+    def counts(self, campaign_id: str, workers: int) -> Counts:
+        """The results so far, and the time left with as many workers."""
+        planned, cases = self.cases(campaign_id)
+        return Counts(
+            outcomes=dict(sorted(Counter(case.outcome for case in cases if case.outcome is not None).items())),
+            successes=sum(case.success for case in cases),
+            reused=sum(case.reused for case in cases),
+            seconds_left=time_left(planned, cases, workers) if planned else None,
+        )
+
+    def result(self, campaign: Campaign, *, curves: bool = True) -> CampaignResult:
+        """The table so far; the campaign must have been read whole. `curves` reads the curves of all traces, too."""
+        planned, cases = self.cases(campaign.id)
+        return CampaignResult(
+            table=table(campaign.name, planned, cases),
+            curves=mean_curves(self.curves(campaign.id)) if curves else [],
+            views=[ChosenView.model_validate(view) for view in campaign.views or []],
+        )
 
     def curves(self, campaign_id: str) -> list[tuple[str, str, Curves]]:
         """Target, attack and curves of every job that ran to its end on a view whose first answer was right."""
@@ -260,22 +283,19 @@ class Campaigns:
         with self._database.read() as session:
             return [(planned, job) for planned, job in session.execute(query)]
 
-    def ended(self, campaign_id: str) -> list[EndedJob]:
-        """The jobs of a campaign that have ended, in their order."""
-        query = (
-            select(
-                CampaignJob.number,
-                CampaignJob.view,
-                CampaignJob.job_id,
-                CampaignJob.case,
-                CampaignJob.spec["seed"].as_integer().label("seed"),
-            )
-            .where(CampaignJob.campaign_id == campaign_id, CampaignJob.ended)
-            .order_by(CampaignJob.number)
-        )
+    def case_rows(self, campaign: Campaign) -> list[CaseRow]:
+        """The jobs that have ended, with what they are about; the campaign must have been read whole."""
+        chosen = (ChosenView.model_validate(view) for view in campaign.views or [])
+        by_number = {view.number: view for view in chosen}
+        seed = CampaignJob.spec["seed"].as_integer().label("seed")
+        columns = select(CampaignJob.number, CampaignJob.view, CampaignJob.job_id, CampaignJob.case, seed)
+        own = (CampaignJob.campaign_id == campaign.id, CampaignJob.ended)
         with self._database.read() as session:
-            rows = session.execute(query).all()
-        return [EndedJob(row.number, row.view, row.seed, row.job_id, Case.model_validate(row.case)) for row in rows]
+            rows = session.execute(columns.where(*own).order_by(CampaignJob.number)).all()
+        return [
+            _case_row(row.number, row.job_id, row.seed, Case.model_validate(row.case), by_number.get(row.view))
+            for row in rows
+        ]
 
     def attributions(self, campaign_id: str, limit: int) -> list[tuple[str, str, dict[str, Any]]]:
         """Target, attack and attribution (services.analysis.records.Attribution) of the first `limit` jobs with a
@@ -301,85 +321,15 @@ def _first(session: Session, key: Key) -> Campaign | None:
     return first
 
 
-@dataclass(frozen=True)
-class Counts:
-    """The results of a campaign so far, in numbers."""
-
-    outcomes: dict[str, int]
-    successes: int
-    reused: int
-    seconds_left: float | None
-
-
-@dataclass(frozen=True)
-class CampaignService:
-    """Operations on campaigns for the API and the dashboard."""
-
-    record: Campaigns
-    queue: Queue
-
-    def submit(
-        self,
-        spec: CampaignSpec,
-        key: str | None,
-        owner: str = "",
-        demand: Demand = CAMPAIGNS,
-        owner_campaigns: int | None = None,
-    ) -> Campaign:
-        """Records a checked campaign; the supervisor queues its jobs. Returns it, or the first one of the key.
-
-        Raises KeyReused if the key came with another request, and QuotaExceeded if `owner_campaigns` of the owner have
-        not ended.
-        """
-        arguments = (spec, len(views(spec)), request_digest(spec), key, owner, demand, owner_campaigns)
-        try:
-            return self.record.create(*arguments)
-        except IntegrityError:  # another process recorded the same key at the same moment
-            return self.record.create(*arguments)
-
-    def counts(self, campaign_id: str) -> Counts:
-        """The results so far, and the time left with as many workers as there are now."""
-        planned, cases = self.record.cases(campaign_id)
-        try:
-            workers = self.queue.live_workers()
-        except RedisError:
-            workers = 1
-        return Counts(
-            outcomes=dict(sorted(Counter(case.outcome for case in cases if case.outcome is not None).items())),
-            successes=sum(case.success for case in cases),
-            reused=sum(case.reused for case in cases),
-            seconds_left=time_left(planned, cases, workers) if planned else None,
-        )
-
-    def result(self, campaign: Campaign, *, curves: bool = True) -> CampaignResult:
-        """The table so far; the campaign must have been read whole. `curves` reads the curves of all traces, too."""
-        planned, cases = self.record.cases(campaign.id)
-        return CampaignResult(
-            table=table(campaign.name, planned, cases),
-            curves=mean_curves(self.record.curves(campaign.id)) if curves else [],
-            views=[ChosenView.model_validate(view) for view in campaign.views or []],
-        )
-
-    def cases(self, campaign: Campaign) -> list[CaseRow]:
-        """The jobs that have ended, with what they are about; the campaign must have been read whole."""
-        views = [ChosenView.model_validate(view) for view in campaign.views or []]
-        by_number = {view.number: view for view in views}
-        return [_case_row(ended, by_number.get(ended.view)) for ended in self.record.ended(campaign.id)]
-
-    def progress(self, campaign: Campaign) -> Progress:
-        """Returns the progress of the campaign."""
-        return self.record.progress([campaign.id])[campaign.id]
-
-
-def _case_row(ended: EndedJob, view: ChosenView | None) -> CaseRow:
-    fields = {"target": ended.case.target, "attack": ended.case.attack, "seed": str(ended.seed)}
+def _case_row(number: int, job_id: str | None, seed: int, case: Case, view: ChosenView | None) -> CaseRow:
+    fields = {"target": case.target, "attack": case.attack, "seed": str(seed)}
     about = {
         "scene": view.scene if view else "",
         "azimuth": f"{degrees(view.azimuth):.0f}°" if view else "",
         "truth": ", ".join(view.truth) if view else "",
         "first answer": (view.label or "") if view else "",
     }
-    return CaseRow(ended.number, ended.job, fields | about, ended.case)
+    return CaseRow(number, job_id, fields | about, case)
 
 
 def request_digest(spec: CampaignSpec) -> str:
@@ -620,7 +570,7 @@ def _answers(asked: Sequence[Job]) -> dict[int, FirstAnswer]:
 def _sender(session: Session, campaign_id: str) -> tuple[str, Demand]:
     """The owner of a campaign, and what its jobs ask of the queue."""
     row = session.execute(select(Campaign.owner, Campaign.demand).where(Campaign.id == campaign_id)).one()
-    return row.owner, CAMPAIGNS if row.demand is None else Demand.of(row.demand)
+    return row.owner, CAMPAIGNS if row.demand is None else Demand(**row.demand)
 
 
 def _earlier(session: Session, planned: CampaignJob, owner: str) -> str | None:

@@ -13,7 +13,6 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from io import BufferedIOBase
 from pathlib import Path
 from typing import TypeVar
@@ -23,22 +22,17 @@ from sqlalchemy.exc import SQLAlchemyError
 from services import disk
 from services.blobs import blobs
 from services.jobs.database import DISK_FULL, outage_of
-from services.jobs.leases import Attempt
+from services.jobs.leases import Attempt, Standing
+from services.jobs.models import Artifact
 from services.jobs.record import Record
 from services.jobs.uploads import DeletedAssets
 from services.logs import logger
+from services.scenes.library import Library
 from services.scenes.store import limit
+from services.settings import Settings
 
 MEDIA_TYPES = {".json": "application/json", ".png": "image/png"}
 """Media types by file name ending. All other files, safetensors too, are application/octet-stream."""
-
-
-@dataclass(frozen=True)
-class Stored:
-    """A file in the store: hex SHA-256 and size in bytes."""
-
-    sha256: str
-    size: int
 
 
 class Damaged(Exception):
@@ -61,13 +55,14 @@ class ArtifactStore:
             return False
         return True
 
-    def put(self, source: Path) -> Stored:
-        """Copies a file into the store. Its bytes are safe when this returns, so a row may then name them."""
+    def put(self, source: Path) -> Artifact:
+        """Copies a file into the store, and returns its row, of no job yet. Its bytes are safe when this returns."""
         data = source.read_bytes()
-        stored = Stored(hashlib.sha256(data).hexdigest(), len(data))
-        if not self._files.keep(_name(stored.sha256)):
-            self._files.write(_name(stored.sha256), data)
-        return stored
+        sha256 = hashlib.sha256(data).hexdigest()
+        if not self._files.keep(_name(sha256)):
+            self._files.write(_name(sha256), data)
+        kind = MEDIA_TYPES.get(source.suffix, "application/octet-stream")
+        return Artifact(name=source.name, sha256=sha256, media_type=kind, size=len(data))
 
     def names(self) -> list[str]:
         """The hashes of all files."""
@@ -97,11 +92,6 @@ def _name(sha256: str) -> str:
     return f"{sha256[:2]}/{sha256}"
 
 
-def media_type(name: str) -> str:
-    """The media type of an artifact with this file name."""
-    return MEDIA_TYPES.get(Path(name).suffix, "application/octet-stream")
-
-
 COPY_SECONDS = 10.0
 """Shortest time between two copies of a checkpoint; a job that ends earlier makes none."""
 SHARE = 0.1
@@ -120,8 +110,6 @@ class CheckpointCopies:
 
     def __init__(self, url: str) -> None:
         self._files = blobs(url, "checkpoints")
-        self._there: set[str] = set()
-        """Ids of jobs whose copy this process has made or read."""
 
     @contextmanager
     def kept(self, job_id: str, path: Path) -> Iterator[None]:
@@ -143,7 +131,6 @@ class CheckpointCopies:
                 changed = path.stat().st_mtime_ns
                 if changed != copied:  # reading it each time would look like the work of a job process that hangs
                     data = path.read_bytes()
-                    self._there.add(job_id)
                     self._files.write(job_id, _digest(job_id, data) + data)
                     copied = changed
             except FileNotFoundError:
@@ -164,7 +151,6 @@ class CheckpointCopies:
         except OSError as error:
             log.warning("copy of a checkpoint not read", job=job_id, error=str(error))
             return
-        self._there.add(job_id)
         if digest != _digest(job_id, data):
             log.warning("damaged copy of a checkpoint ignored", job=job_id)
             return
@@ -175,12 +161,6 @@ class CheckpointCopies:
             log.info("going on from another machine's checkpoint", job=job_id, step=saved_step(path))
         else:
             fetched.unlink()
-
-    def forget(self, job_id: str) -> None:
-        """Removes the copy, if this process has made or read one."""
-        if job_id in self._there:
-            self._there.discard(job_id)
-            self.remove(job_id)
 
     def remove(self, job_id: str) -> None:
         """Removes the copy, if there is one."""
@@ -237,28 +217,25 @@ class WorkingFiles:
 
     def forget(self, record: Record, job_id: str) -> None:
         """Removes a job's checkpoint if the job has ended."""
-        job = record.jobs.get(job_id)
-        if job is None or job.state.terminal:
+        if not record.jobs.is_open(job_id):
             for file in self._checkpoints.glob(f"{job_id}*"):
                 file.unlink(missing_ok=True)
             if self._copies is not None:
-                self._copies.forget(job_id)
+                self._copies.remove(job_id)
 
     def forget_copies(self, record: Record) -> None:
         """Removes the copies of checkpoints of jobs that have ended. Raises OSError if the store does not answer."""
         if self._copies is None:
             return
         for job_id in self._copies.job_ids():
-            job = record.jobs.get(job_id)
-            if job is None or job.state.terminal:
+            if not record.jobs.is_open(job_id):
                 self._copies.remove(job_id)
 
     def sweep(self, record: Record) -> None:
         """Removes the files that killed processes left behind of attempts and jobs that have ended."""
         for out in self._running.glob("*-*"):
             job_id, _, number = out.name.rpartition("-")
-            job = record.jobs.get(job_id)
-            if job is None or job.state.terminal or job.attempt != int(number):
+            if record.leases.standing(Attempt(job_id, int(number))) is Standing.LOST:
                 shutil.rmtree(out, ignore_errors=True)
         for file in list(self._checkpoints.glob("*")):
             self.forget(record, file.name.partition(".")[0])
@@ -341,35 +318,27 @@ SEARCH_SECONDS = 3600.0
 """Time between two searches for files that nothing names."""
 
 
+def delete_with_files(record: Record, store: ArtifactStore, job_id: str) -> None:
+    """Deletes a job, and the files that only it has named for an hour; younger ones go later. Raises InUse."""
+    _remove_unnamed(record, store, record.jobs.delete(job_id))
+
+
+def _remove_unnamed(record: Record, store: ArtifactStore, hashes: Iterable[str]) -> None:
+    for sha256 in record.jobs.unnamed(set(hashes)):
+        store.remove(sha256, GRACE_SECONDS)
+
+
 class Housekeeping:
-    """Keeps data directory and cache tidy. Jobs are deleted `retention_days` after their end; None keeps them for ever.
-    `meshes` is the folder of processed meshes and the bytes that they may take; None leaves them alone. `assets` has
-    the uploads that were deleted. `place` has the artifacts, and copies of checkpoints if it is the URL of a store.
-    """
+    """Keeps data directory, artifact store and cache tidy, as the settings say."""
 
-    def __init__(
-        self,
-        record: Record,
-        store: ArtifactStore,
-        data_dir: Path,
-        retention_days: float | None = None,
-        meshes: tuple[Path, int] | None = None,
-        assets: DeletedAssets | None = None,
-        place: Path | str | None = None,
-    ) -> None:
+    def __init__(self, record: Record, settings: Settings) -> None:
         self._record = record
-        self._store = store
-        self._working_files = WorkingFiles(data_dir, place)
-        self._data_dir = data_dir
-        self._storage = Storage(data_dir)
-        self._retention_days = retention_days
-        self._meshes = meshes
-        self._assets = assets
+        self._settings = settings
+        self._store = ArtifactStore(settings.files)
+        self._working_files = WorkingFiles(settings.data_dir, settings.files)
+        self._storage = Storage(settings.data_dir)
+        self._assets = DeletedAssets(record.database, Library(settings.cache_dir, settings.files))
         self._swept = self._searched = float("-inf")
-
-    def delete(self, job_id: str) -> None:
-        """Deletes a job, and the files that only it has named for an hour; younger ones go later. Raises InUse."""
-        self._remove(self._record.jobs.delete(job_id))
 
     def tidy(self) -> None:
         """Does what is due. Raises SQLAlchemyError and OSError; what is left is done the next time."""
@@ -378,21 +347,16 @@ class Housekeeping:
         if now - self._swept >= SWEEP_SECONDS:
             self._swept = now
             self._working_files.sweep(self._record)
-            if self._meshes is not None:
-                limit(*self._meshes)
-            if self._retention_days is not None:
-                self._remove(self._record.jobs.expire(self._retention_days))
+            limit(self._settings.cache_dir / "meshes", self._settings.cache_bytes)
+            if self._settings.retention_days is not None:
+                gone = self._record.jobs.expire(self._settings.retention_days)
+                _remove_unnamed(self._record, self._store, gone)
         if now - self._searched >= SEARCH_SECONDS:
             self._searched = now
-            self._remove(self._store.names())
-            if self._assets is not None:
-                self._assets.remove_all()
+            _remove_unnamed(self._record, self._store, self._store.names())
+            self._assets.remove_all()
             self._working_files.forget_copies(self._record)
-            remove_unfinished(self._data_dir)
-
-    def _remove(self, hashes: Iterable[str]) -> None:
-        for sha256 in self._record.jobs.unnamed(set(hashes)):
-            self._store.remove(sha256, GRACE_SECONDS)
+            remove_unfinished(self._settings.data_dir)
 
 
 def remove_unfinished(folder: Path) -> None:

@@ -21,11 +21,10 @@ from sqlalchemy import ColumnElement, Float, Row, Select, and_, case, func, lite
 from sqlalchemy import delete as deletion
 from sqlalchemy.orm import InstrumentedAttribute
 
-from services.attacks.outcome import SUCCESS, Verdict
+from services.attacks.outcome import Verdict
 from services.errors import InvalidRequest
 from services.jobs.database import Database
 from services.jobs.models import Job, JobKind, JobTag, State, UtcTime
-from services.pipeline.names import attack_name, job_name, question_names, scene_name
 from services.text import character, there_are, unfit
 
 LONGEST_QUERY = 4000
@@ -152,45 +151,6 @@ def _unquoted(value: str) -> str:
 
 def _unread(at: int, why: str) -> InvalidRequest:
     return InvalidRequest("q", f"at character {at + 1}: {why}")
-
-
-LONGEST_TEXT = 300
-"""Characters of a listed text; a scene may have many meshes. Longer ones end in an ellipsis."""
-
-
-def listed(spec: Mapping[str, Any], titles: Mapping[str, str] | None = None) -> dict[str, str | None]:
-    """The listed columns of the full spec of an attack or re-rendering, by name; `titles` are those of uploads, by
-    their names in scenes.
-    """
-    questions = question_names(spec)
-    if "fit" in spec:
-        work = {"attack": "re-rendering", "renderer": "torch", "method": f"fit by {spec['fit']['optimiser']}"}
-    else:
-        attack = spec["attack"]
-        work = {"attack": attack_name(spec), "renderer": attack["renderer"], "method": attack["method"]}
-    columns = {
-        "name": job_name(spec, titles),
-        "scene": scene_name(spec, titles),
-        **work,
-        "target": spec["target"]["name"],
-        "question": questions[0] if questions else None,
-    }
-    return {column: _cut(text) for column, text in columns.items()}
-
-
-def listed_outcome(outcome: Mapping[str, Any]) -> dict[str, Any]:
-    """The columns of an outcome (services.pipeline.result) that lists sort and filter by; p is the paper's."""
-    return {
-        "verdict": outcome["outcome"],
-        "verified": outcome["outcome"] == SUCCESS and outcome["verified"],
-        "p": outcome["float_perceptibility"],
-        "queries": outcome["queries"],
-        "seconds": outcome["seconds"],
-    }
-
-
-def _cut(text: str | None) -> str | None:
-    return text if text is None or len(text) <= LONGEST_TEXT else text[: LONGEST_TEXT - 1] + "…"
 
 
 _UNLISTED = [

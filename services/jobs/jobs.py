@@ -17,9 +17,8 @@ from sqlalchemy.orm import Session, defer, undefer
 from services.errors import InUse, QuotaExceeded
 from services.jobs import statistics
 from services.jobs.database import Database, now
-from services.jobs.job_list import listed
 from services.jobs.leases import change_state, lock, story
-from services.jobs.models import Artifact, Campaign, CampaignJob, Event, IdempotencyKey, Job, JobKind, State
+from services.jobs.models import Artifact, Campaign, CampaignJob, Event, IdempotencyKey, Job, JobKind, State, listed
 from services.jobs.scheduler import NO_DEMAND, Demand, targets_of
 from services.jobs.uploads import check_held, refer_from_job, titles, uploads_of
 from services.pipeline.check import check_meshes
@@ -151,6 +150,12 @@ class Jobs:
         """A job of any kind, without its result, or None if the id is unknown."""
         with self._database.read() as session:
             return session.get(Job, job_id)
+
+    def is_open(self, job_id: str) -> bool:
+        """Whether there is a job with this id, of any kind, that has not ended."""
+        with self._database.read() as session:
+            state = session.scalar(select(Job.state).where(Job.id == job_id))
+            return state is not None and not state.terminal
 
     def request_cancel(self, job_id: str) -> Job | None:
         """Cancels a queued job at once, and asks a running job to stop; leaves other jobs as they are.

@@ -18,8 +18,7 @@ from sqlalchemy.sql.elements import ColumnElement
 from services.errors import InvalidRequest, without_folders
 from services.jobs import statistics
 from services.jobs.database import Database, now
-from services.jobs.job_list import listed, listed_outcome
-from services.jobs.models import Artifact, Event, Job, State, not_paused
+from services.jobs.models import Artifact, Event, Job, State, listed, listed_outcome, not_paused
 from services.jobs.uploads import titles, uploads_of
 from services.pipeline.result import JobWarning
 

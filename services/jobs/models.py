@@ -1,5 +1,6 @@
 """The tables of the record. The database holds the state of every job; Redis only wakes workers."""
 
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from enum import StrEnum
 from typing import Any
@@ -26,10 +27,12 @@ from sqlalchemy import (
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 from sqlalchemy.sql.elements import ColumnElement
 
+from services.attacks.outcome import SUCCESS
 from services.jobs.states import CampaignState as CampaignState
 from services.jobs.states import JobKind as JobKind
 from services.jobs.states import Priority, times_of
 from services.jobs.states import State as State
+from services.pipeline.names import attack_name, job_name, question_names, scene_name
 
 
 class UtcTime(TypeDecorator[datetime]):
@@ -119,7 +122,7 @@ class Job(Base):
     waiting: Mapped[str | None] = mapped_column(Text)
     """Reason why none of the live workers takes the queued job; None if one of them can."""
 
-    # What lists show of `spec` (services.jobs.job_list); None for jobs that no list shows.
+    # What lists show of `spec` (`listed`); None for jobs that no list shows.
     name: Mapped[str | None] = mapped_column(String(300))
     scene: Mapped[str | None] = mapped_column(String(300))
     attack: Mapped[str | None] = mapped_column(String(300))
@@ -136,7 +139,7 @@ class Job(Base):
     retry_of: Mapped[str | None] = mapped_column(String(32))
     """The job whose request this one repeats."""
 
-    # What lists show and sort by of `outcome` (services.jobs.job_list); None until the job succeeded.
+    # What lists show and sort by of `outcome` (`listed_outcome`); None until the job succeeded.
     verdict: Mapped[str | None] = mapped_column(String(16))
     verified: Mapped[bool | None]
     """Whether the attack succeeded: the network was fooled, and still is when the adversary is rendered afresh."""
@@ -190,6 +193,45 @@ class Job(Base):
     def times(self) -> dict[str, datetime]:
         """The last time at which the job entered each state, in the order of the states."""
         return times_of(self)
+
+
+LONGEST_TEXT = 300
+"""Characters of a listed text; a scene may have many meshes. Longer ones end in an ellipsis."""
+
+
+def listed(spec: Mapping[str, Any], titles: Mapping[str, str] | None = None) -> dict[str, str | None]:
+    """The listed columns of the full spec of an attack or re-rendering, by name; `titles` are those of uploads, by
+    their names in scenes.
+    """
+    questions = question_names(spec)
+    if "fit" in spec:
+        work = {"attack": "re-rendering", "renderer": "torch", "method": f"fit by {spec['fit']['optimiser']}"}
+    else:
+        attack = spec["attack"]
+        work = {"attack": attack_name(spec), "renderer": attack["renderer"], "method": attack["method"]}
+    columns = {
+        "name": job_name(spec, titles),
+        "scene": scene_name(spec, titles),
+        **work,
+        "target": spec["target"]["name"],
+        "question": questions[0] if questions else None,
+    }
+    return {column: _cut(text) for column, text in columns.items()}
+
+
+def listed_outcome(outcome: Mapping[str, Any]) -> dict[str, Any]:
+    """The columns of an outcome (services.pipeline.result) that lists sort and filter by; p is the paper's."""
+    return {
+        "verdict": outcome["outcome"],
+        "verified": outcome["outcome"] == SUCCESS and outcome["verified"],
+        "p": outcome["float_perceptibility"],
+        "queries": outcome["queries"],
+        "seconds": outcome["seconds"],
+    }
+
+
+def _cut(text: str | None) -> str | None:
+    return text if text is None or len(text) <= LONGEST_TEXT else text[: LONGEST_TEXT - 1] + "…"
 
 
 class JobTag(Base):

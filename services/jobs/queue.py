@@ -98,8 +98,8 @@ class Queue:
         messages = cast(list[bytes | None], self.redis.mget(keys)) if keys else []
         abilities = []
         for message in messages:
-            with suppress(ValueError, RecursionError):  # what somebody planted
-                abilities.append(Abilities.of(json.loads(message or b"")))
+            with suppress(ValueError, TypeError, RecursionError):  # what somebody planted
+                abilities.append(Abilities(**json.loads(message or b"")))
         return abilities
 
 

@@ -6,9 +6,10 @@ needs it meets.
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass
 from typing import Any, Literal, Self
 
+from pydantic.dataclasses import dataclass as validated
 from sqlalchemy import func, select, update
 from sqlalchemy.orm import aliased
 
@@ -39,30 +40,17 @@ class Needs:
         return json.dumps([self.targets, self.device, self.memory])
 
 
-def _is_names(data: object) -> bool:
-    return isinstance(data, list) and all(isinstance(item, str) for item in data)
-
-
 ANY_WORKER = Needs()
 """The needs of a job that any worker may run."""
 
 
-@dataclass(frozen=True)
+@validated(frozen=True)
 class Demand:
     """Demand of a sender on the queue, for a job or a campaign. It is no part of the request and changes no result."""
 
     priority: Priority = Priority.NORMAL
     device: Device | None = None
     memory: int = 0
-
-    @classmethod
-    def of(cls, record: Mapping[str, Any] | None) -> Self:
-        """The demand that the database has of a campaign as JSON."""
-        return cls() if record is None else cls(Priority(record["priority"]), record["device"], record["memory"])
-
-    def record(self) -> dict[str, Any]:
-        """The demand as JSON."""
-        return asdict(self)
 
     def needs(self, targets: Iterable[str]) -> Needs:
         """The needs of a job with these networks."""
@@ -75,27 +63,19 @@ CAMPAIGNS = Demand(Priority.LOW)
 """Demand of campaigns that ask for nothing else: single jobs come first."""
 
 
-@dataclass(frozen=True)
+@validated(frozen=True)
 class Abilities:
-    """Abilities of a worker: its kind of device, the names of its networks, and the memory of a job in bytes."""
+    """Abilities of a worker: its kind of device, the names of its networks, and the memory of a job in bytes.
 
-    device: str = "cpu"
-    targets: frozenset[str] = field(default_factory=frozenset)
-    memory: int = 0
+    Raises ValueError for values of other types, which a message may have.
+    """
 
-    @classmethod
-    def of(cls, record: Mapping[str, Any]) -> Self:
-        """The abilities that a message has as JSON. Raises ValueError if it has none."""
-        try:
-            device, targets, memory = record["device"], record["targets"], record["memory"]
-        except (KeyError, TypeError) as error:
-            raise ValueError("these are no abilities of a worker") from error
-        if not isinstance(device, str) or not _is_names(targets) or type(memory) is not int:
-            raise ValueError("these are no abilities of a worker")
-        return cls(device, frozenset(targets), memory)
+    device: str
+    targets: frozenset[str]
+    memory: int
 
     def record(self) -> dict[str, Any]:
-        """The abilities as JSON."""
+        """The abilities as JSON, of which `Abilities(**record)` makes them again."""
         return {"device": self.device, "targets": sorted(self.targets), "memory": self.memory}
 
     def lacks(self, needs: Needs) -> str | None:
@@ -110,7 +90,7 @@ class Abilities:
         return None
 
 
-NOTHING = Abilities()
+NOTHING = Abilities("cpu", frozenset(), 0)
 """Abilities of a worker that has no network."""
 
 
@@ -134,10 +114,6 @@ def why_waiting(needs: Needs, workers: Sequence[Abilities]) -> str | None:
         return None
     words = sorted({reason for reason in lacking if reason is not None})
     return f"no worker that is running has {' or '.join(words[:3])}"
-
-
-JOBS_PER_UPDATE = 500
-"""Jobs that one statement names."""
 
 
 @dataclass(frozen=True)
@@ -186,9 +162,7 @@ class Scheduler:
         """Records another reason why these jobs wait; None: there is a worker that can run them."""
         same = (Job.priority == waiting.priority, Job.needs == waiting.needs.text)
         jobs = select(Job.id).where(Job.state == State.QUEUED, *same, Job.waiting.is_not_distinct_from(waiting.why))
+        # what another supervisor explains, or a worker leases, at this moment is left to them
+        free = jobs.with_for_update(skip_locked=True)
         with self._database.write() as session:
-            # what another supervisor explains, or a worker leases, at this moment is left to them
-            ids = session.scalars(jobs.with_for_update(skip_locked=True)).all()
-            for start in range(0, len(ids), JOBS_PER_UPDATE):
-                chunk = ids[start : start + JOBS_PER_UPDATE]
-                session.execute(update(Job).where(Job.id.in_(chunk)).values(waiting=why))
+            session.execute(update(Job).where(Job.id.in_(free)).values(waiting=why))

@@ -27,7 +27,6 @@ from services.analysis.records import AnalysisRequest
 from services.attacks.attack import Attack
 from services.attacks.request import Goal, Seed
 from services.errors import InvalidFields, InvalidRequest
-from services.names import Names, reference
 from services.pipeline.field_errors import invalid_fields
 from services.pipeline.question_record import MOST_TOGETHER
 from services.pipeline.spec import AnyAttack, AnyTolerance, JobSpec, TargetChoice, check_labels, with_method
@@ -39,6 +38,7 @@ from services.scenes.clevr.description import describe
 from services.scenes.clevr.generator import MAX_OBJECTS, MIN_OBJECTS, generate
 from services.scenes.clevr.records import IMAGE_SIZE, SceneRecord
 from services.scenes.description import Angle, Camera, Colour, Lights, Model, Pixels, Scene, SceneObject, absent
+from services.strict import Names, reference
 from services.text import line, there_are
 
 MAX_LISTED = 20_000

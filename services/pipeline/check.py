@@ -9,7 +9,6 @@ from functools import cache
 from types import MappingProxyType
 
 from services.errors import InvalidFields, InvalidRequest
-from services.names import Names
 from services.pipeline.campaign_plan import job_of
 from services.pipeline.campaign_spec import CampaignSpec, Grid, Member, SceneGrid
 from services.pipeline.campaign_spec import parse as parse_campaign
@@ -19,6 +18,7 @@ from services.pipeline.spec import parse as parse_job
 from services.rendering.torch_renderer.declaration import check_preset
 from services.scenes.description import Lights, Scene
 from services.scenes.library import Library
+from services.strict import Names
 from services.targets.download import check_obtainable
 
 

@@ -12,7 +12,7 @@ from math import pi, radians
 from typing import Any
 
 from services.errors import InvalidRequest, encodable
-from services.names import UNKNOWN
+from services.strict import UNKNOWN
 from services.text import did_you_mean, there_are
 
 Schema = Mapping[str, Any]

@@ -32,7 +32,6 @@ from services.analysis.records import AnalysisRequest, Rerendering, RerenderingR
 from services.attacks.attack import ATTACKS, Attack
 from services.attacks.request import Goal, Label, Labels, Seed
 from services.errors import InvalidFields, InvalidRequest
-from services.names import Names, reference, unknown_parts
 from services.pipeline.field_errors import invalid_fields
 from services.pipeline.question_record import MOST_TOGETHER, Call, Calls, Text, program, with_scene
 from services.questions.program import written
@@ -41,6 +40,7 @@ from services.rendering.plan import DEFAULT_TOLERANCE
 from services.scenes.clevr.description import Generate
 from services.scenes.clevr.records import SceneRecord
 from services.scenes.description import Model, Scene, absent
+from services.strict import Names, reference, unknown_parts
 from services.targets.info import TARGETS, TargetInfo
 from services.targets.labels import labels, same_labels
 from services.text import closest, did_you_mean

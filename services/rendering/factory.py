@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from pkgutil import resolve_name
 from typing import Any
 
-from services.device import finite
 from services.errors import InvalidRequest, JobFailure, named
+from services.process import finite
 from services.rendering.declaration import RENDERERS, BuildRequest, Declaration
 from services.rendering.plan import DEFAULT_TOLERANCE, Tolerance
 from services.rendering.protocol import BOUND_SLACK, Renderer

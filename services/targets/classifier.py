@@ -7,7 +7,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from services.device import describe, device
+from services.process import describe, device
 
 
 @dataclass

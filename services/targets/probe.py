@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from services.device import finite
+from services.process import finite
 from services.targets.info import RegisteredTarget
 from services.targets.labels import in_words, labels, refused
 from services.targets.protocol import QuestionTarget, Target

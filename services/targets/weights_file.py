@@ -15,7 +15,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor, nn
 
-from services.device import finite
+from services.process import finite
 
 LARGEST = 127
 """Largest magnitude of a stored integer."""

@@ -10,11 +10,10 @@ from typer.testing import CliRunner
 
 from client.cli import app
 from services.attacks.problem import generator
-from services.device import check_device, describe, device
 from services.errors import InvalidRequest
 from services.pipeline.execute import execute
 from services.pipeline.spec import parse
-from services.process import replaced
+from services.process import check_device, describe, device, replaced
 from services.rendering.factory import build
 from services.rendering.kernels import compiled
 from services.scenes.library import Library

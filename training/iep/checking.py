@@ -8,11 +8,11 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from services.attacks.outcome import wilson
 from services.errors import InvalidRequest
 from services.questions.executor import ANSWERS
 from services.questions.program import Program
 from services.rendering.color import from_bytes
-from services.statistics import wilson
 from services.targets.iep.assembly import Question, assemble
 from services.targets.iep.checkpoint import Checkpoint
 from services.targets.iep.engine import Engine

@@ -18,6 +18,7 @@ from services.accuracy.work_precision.shading import GROUPS, TOLERANCES
 from services.attacks.attack import Attack
 from services.attacks.fgsm import Fgsm
 from services.attacks.goal import ResolvedGoal
+from services.attacks.outcome import wilson
 from services.attacks.problem import AttackProblem
 from services.attacks.run import AttackRun, Verifier, run_attack
 from services.attacks.zoo import Zoo
@@ -26,7 +27,6 @@ from services.rendering.factory import build
 from services.rendering.plan import Tolerance
 from services.rendering.protocol import Renderer
 from services.scenes.resolve import ResolvedScene
-from services.statistics import wilson
 from services.targets.labels import truth_labels
 from services.targets.registry import card, load
 from services.targets.scores import log_odds

@@ -11,8 +11,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from services.device import finite
 from services.errors import JobFailure
+from services.process import finite
 from services.rendering.color import over_ground
 from services.rendering.declaration import BuildRequest, DeclaredRenderer
 from services.rendering.opengl import context, gbuffer

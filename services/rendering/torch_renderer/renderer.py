@@ -19,7 +19,7 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
-from services.device import describe, device
+from services.process import describe, device
 from services.rendering.color import Canvas
 from services.rendering.declaration import BuildRequest, DeclaredRenderer
 from services.rendering.kernels import compiled

@@ -17,8 +17,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from services.device import describe, device
 from services.errors import InvalidRequest
+from services.process import describe, device
 from services.questions.executor import ANSWERS
 from services.questions.program import InvalidProgram, Program, program_in
 from services.targets.iep.assembly import MAPPED, Question, assemble

@@ -6,10 +6,10 @@ from torch import Tensor
 
 from services.analysis.expectation import held_over
 from services.attacks.goal import ResolvedGoal
+from services.attacks.outcome import wilson
 from services.attacks.problem import draw_variation
 from services.attacks.request import Expectation
 from services.attacks.run import Verifier
-from services.statistics import wilson
 from tests.unit.attacks.small import LinearTarget, Pixels
 
 

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from services.analysis.campaign_table import part_means
-from services.statistics import NORMAL_95
+from services.attacks.outcome import NORMAL_95
 
 
 def attribution(**values: float) -> dict[str, Any]:

@@ -10,10 +10,10 @@ from fastapi import FastAPI
 from api import dashboard
 from api.requests import Services, caller
 from services.access.caller import KEYLESS
-from services.jobs.campaigns import CampaignService
 from services.jobs.database import connect, migrate
 from services.jobs.leases import Attempt
 from services.jobs.models import Artifact, Job
+from services.jobs.queue import Queue
 from services.jobs.record import Record
 from services.pipeline.result import JobWarning, Result, outcome
 from services.pipeline.spec import JobSpec, parse
@@ -196,7 +196,7 @@ def open_record(folder: Path) -> Iterator[Record]:
     engine.dispose()
 
 
-def app(record: Record, campaigns: CampaignService | None = None) -> FastAPI:
+def app(record: Record, queue: Queue | None = None) -> FastAPI:
     """The dashboard alone, on this record. It uses nothing else of the services."""
     made = FastAPI()
     made.include_router(dashboard.router)
@@ -208,7 +208,7 @@ def app(record: Record, campaigns: CampaignService | None = None) -> FastAPI:
         assets=none,
         quotas=none,
         record=record,
-        queue=none,
+        queue=cast(Any, queue),
         submissions=none,
         store=none,
         library=none,
@@ -217,11 +217,9 @@ def app(record: Record, campaigns: CampaignService | None = None) -> FastAPI:
         uploads=none,
         exporter=none,
         reading=none,
-        campaigns=cast(Any, campaigns),
         watcher=none,
         list_watcher=none,
         storage=none,
-        housekeeping=none,
         deleted_assets=none,
     )
     return made

@@ -59,7 +59,7 @@ class Guarded:
     def untouched(self) -> bool:
         """Whether alice's job, campaign and upload are as they were."""
         job = self.services.record.jobs.line(self.job)
-        campaign = self.services.campaigns.record.get(self.campaign)
+        campaign = self.services.record.campaigns.get(self.campaign)
         assert job is not None
         assert campaign is not None
         assert self.services.assets.visible(ALICE)(f"sha256:{MESH}")
@@ -90,7 +90,7 @@ def guarding(app: FastAPI, client: httpx.Client) -> Iterator[Guarded]:
         if name == "revoked":
             services.keys.revoke(key.prefix)
     headers["not a bearer"] = {"authorization": headers["admin"]["authorization"].replace("Bearer", "Basic")}
-    campaign = services.campaigns.submit(parse_campaign(CAMPAIGN), None, "alice")
+    campaign = services.record.campaigns.submit(parse_campaign(CAMPAIGN), None, "alice")
     services.assets.add("alice", f"sha256:{MESH}", 1)
     services.library.add(UPLOAD)
     services.library.keep_thumbnail(f"sha256:{MESH}", b"PNG")

@@ -147,6 +147,6 @@ def test_its_page_shows_it(client: Client, services: Services) -> None:
     assert (moved.status_code, moved.headers["location"]) == (303, f"/campaigns/{campaign}")
     assert "Resume" in client.get(f"/campaigns/{campaign}").text
     assert client.post(f"/campaigns/{campaign}/eat").status_code == 404
-    found = services.campaigns.record.get(campaign)
+    found = services.record.campaigns.get(campaign)
     assert found is not None
     assert found.state.value == "paused"

@@ -7,7 +7,6 @@ import httpx
 import pytest
 from httpx import ASGITransport
 
-from services.jobs.campaigns import CampaignService
 from services.jobs.database import connect, migrate
 from services.jobs.queue import Queue
 from services.jobs.queue import connect as connect_redis
@@ -36,7 +35,7 @@ def stage(tmp_path: Path) -> Iterator[Stage]:
 
 async def get(stage: Stage, path: str) -> Tags:
     redis = Queue(connect_redis("redis://127.0.0.1:1"))  # out of reach, which pages survive
-    made = app(stage.record, CampaignService(stage.campaigns, redis))
+    made = app(stage.record, redis)
     async with httpx.AsyncClient(transport=ASGITransport(made), base_url="http://dashboard") as client:
         answer = await client.get(path)
     assert answer.status_code == 200, answer.text

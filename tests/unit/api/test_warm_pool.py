@@ -11,8 +11,8 @@ from api.warm_pool import MOST_OPEN, NoneFree, TooSlow, Unavailable, WarmPool
 from services.access.caller import KEYLESS
 from services.errors import InvalidRequest, QuotaExceeded
 from services.jobs.processes import ChildDied, OutOfMemory
-from services.names import Names
 from services.settings import Settings
+from services.strict import Names
 from tests.unit.jobs.small import spec
 
 LONG, NOT_AT_ALL = 60.0, 0.0

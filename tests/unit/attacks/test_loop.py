@@ -12,8 +12,8 @@ from services.attacks.goal import ResolvedGoal
 from services.attacks.problem import AttackProblem, Evaluation, evaluate, quantize
 from services.attacks.run import AttackRun, Verifier, run_attack
 from services.attacks.zoo import Zoo
-from services.device import finite
 from services.errors import JobFailure
+from services.process import finite
 from services.rendering.color import as_saved
 from services.rendering.plan import ImageError
 from tests.unit.attacks.small import Ahead, LinearRenderer, LinearTarget, attack, problem, resumed

@@ -1,10 +1,11 @@
-"""Every combination of truth, first answer, attacked answer and goal."""
+"""Every combination of truth, first answer, attacked answer and goal; the intervals of rates of successes."""
 
 from itertools import product
 
 import pytest
+from scipy.stats import binomtest
 
-from services.attacks.outcome import SUCCESS, Verdict, judge
+from services.attacks.outcome import SUCCESS, Verdict, judge, wilson
 
 TRUTH, RIGHT, ALSO_RIGHT, WRONG, ALSO_WRONG = (0, 1), 0, 1, 2, 3
 
@@ -57,3 +58,21 @@ def test_a_success_was_right_is_wrong_and_met_the_goal() -> None:
     for truth, first, attacked, met in product(((), (0,), TRUTH), range(4), range(4), (False, True)):
         success = judge(truth, first, attacked, met) == SUCCESS
         assert success == (first in truth and attacked not in truth and met)
+
+
+CASES = [(8, 10), (0, 24), (24, 24), (5, 10), (0, 1), (208, 233)]
+
+
+@pytest.mark.parametrize(("successes", "trials"), CASES)
+def test_rates_have_wilsons_interval(successes: int, trials: int) -> None:
+    """As scipy computes it, and by its definition: the roots of (p̂ − p)² = z² p (1 − p) / n, the score test."""
+    found = wilson(successes, trials)
+    assert found == pytest.approx(binomtest(successes, trials).proportion_ci(0.95, "wilson"), abs=1e-6)
+    z2, rate = 1.959964**2, successes / trials
+    for p in found:
+        assert (rate - p) ** 2 == pytest.approx(z2 * p * (1 - p) / trials, abs=1e-12)
+
+
+def test_an_interval_ends_at_a_rate_of_0_or_1() -> None:
+    assert wilson(0, 7)[0] == 0.0
+    assert wilson(7, 7)[1] == 1.0

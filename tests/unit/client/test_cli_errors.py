@@ -162,8 +162,8 @@ def test_every_wrong_setting_has_a_line() -> None:
     assert done.returncode == 2
     assert done.stderr.splitlines() == [
         'scene-attack: bad input: SCENE_ATTACK_PORT: must be an integer, not "http"',
-        "scene-attack: bad input: SCENE_ATTACK_HOSTS: 'https://me.example/' can never match: a host is due, without "
-        "scheme and path, such as 'me.example'",
+        "scene-attack: bad input: SCENE_ATTACK_HOSTS: 'https://me.example/' can never match: a name or IP "
+        "address of a host is due, without scheme, port, path, brackets and wildcards",
         'scene-attack: bad input: SCENE_ATTACK_WORKERS: must be at least 1, not "0"',
     ]
 

@@ -5,11 +5,11 @@ from typing import Any
 from sqlalchemy import Engine, select
 from sqlalchemy.orm import Session
 
-from services.jobs.campaigns import Campaigns, Feeder, request_digest
+from services.jobs.campaigns import Campaigns, Feeder
 from services.jobs.database import Database
 from services.jobs.models import Campaign, CampaignState, Job, State, not_paused
 from services.jobs.record import Record
-from services.pipeline.campaign_plan import identity, views
+from services.pipeline.campaign_plan import identity
 from services.pipeline.campaign_spec import CampaignSpec, parse
 from services.pipeline.result import Provenance, Result, outcome
 from services.pipeline.spec import JobSpec
@@ -40,7 +40,7 @@ class Stage:
         self.feeder = Feeder(Database(engine), QUEUED)
 
     def begin(self, campaign: CampaignSpec, owner: str = "") -> str:
-        return self.campaigns.create(campaign, len(views(campaign)), request_digest(campaign), None, owner).id
+        return self.campaigns.submit(campaign, None, owner).id
 
     def state(self, campaign_id: str) -> CampaignState:
         return self.campaign(campaign_id).state

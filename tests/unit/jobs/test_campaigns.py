@@ -30,7 +30,7 @@ def stage(engine: Engine, record: Record) -> Stage:
 def test_an_owner_has_no_more_open_campaigns_than_it_may(stage: Stage) -> None:
     def begin(owner: str, most: int | None = 2, key: str | None = None) -> Campaign:
         one = spec(1)
-        return stage.campaigns.create(one, 1, request_digest(one), key, owner, owner_campaigns=most)
+        return stage.campaigns.submit(one, key, owner, owner_campaigns=most)
 
     first, second = begin("alice", key="k"), begin("alice")
     stage.campaigns.pause(second.id)
@@ -215,7 +215,7 @@ def test_a_result_of_other_weights_or_backend_is_not_taken(
 
 def test_a_key_belongs_to_one_request(stage: Stage) -> None:
     def create(campaign: CampaignSpec, key: str | None) -> str:
-        return stage.campaigns.create(campaign, 1, request_digest(campaign), key).id
+        return stage.campaigns.submit(campaign, key).id
 
     first = create(spec(1), "k")
     assert create(spec(1), "k") == first
@@ -225,7 +225,7 @@ def test_a_key_belongs_to_one_request(stage: Stage) -> None:
     with pytest.raises(KeyReused):
         create(spec(2), "k")
     assert create(spec(1), None) != first
-    bobs = [stage.campaigns.create(spec(n), 1, request_digest(spec(n)), "k", "bob").id for n in (2, 2)]
+    bobs = [stage.campaigns.submit(spec(n), "k", "bob").id for n in (2, 2)]
     assert bobs[0] == bobs[1] != first
 
 

@@ -122,7 +122,7 @@ def test_a_store_that_does_not_answer_stops_no_attack(tmp_path: Path, monkeypatc
     with copies.kept(JOB, tmp_path / "here"):
         until(lambda: "checkpoint not copied" in said)
     copies.fetch(JOB, tmp_path / "there")
-    copies.forget(JOB)
+    copies.remove(JOB)
     assert not (tmp_path / "there").exists()
 
 

@@ -9,10 +9,11 @@ from sqlalchemy.orm import Session
 
 from services.errors import InUse
 from services.jobs.database import Database
-from services.jobs.files import GRACE_SECONDS, ArtifactStore, Housekeeping, remove_unfinished
+from services.jobs.files import GRACE_SECONDS, ArtifactStore, Housekeeping, delete_with_files, remove_unfinished
 from services.jobs.jobs import Jobs
 from services.jobs.models import Artifact, Campaign, CampaignJob, CampaignState, Job
 from services.jobs.record import Record
+from services.settings import Settings
 from tests.unit.jobs.conftest import Clock
 from tests.unit.jobs.records import OUTCOME, add, attacks, start
 
@@ -29,6 +30,10 @@ def store(tmp_path: Path) -> ArtifactStore:
 @pytest.fixture
 def deletions(engine: Engine, clock: Clock) -> Jobs:
     return Jobs(Database(engine, clock))
+
+
+def settings(folder: Path) -> Settings:
+    return Settings(data=folder, cache=folder / "cache")
 
 
 def put(store: ArtifactStore, folder: Path, data: bytes, *, old: bool = True) -> str:
@@ -55,38 +60,34 @@ def finish(record: Record, job: Job, *hashes: str) -> None:
 
 
 def test_a_job_goes_with_its_files_and_not_with_those_of_others(
-    record: Record, engine: Engine, store: ArtifactStore, tmp_path: Path
+    record: Record, store: ArtifactStore, tmp_path: Path
 ) -> None:
     first, second = add(record), add(record)
     shared, own = put(store, tmp_path, b"shared"), put(store, tmp_path, b"own")
     finish(record, first, shared, own)
     finish(record, second, shared)
-    house = Housekeeping(Record(engine), store, tmp_path)
-    house.delete(first.id)
+    delete_with_files(record, store, first.id)
     assert record.jobs.get(first.id) is None
     assert record.jobs.events(first.id, 0) == []
     assert store.names() == [shared]
-    house.delete(first.id)  # again: nothing happens
-    house.delete(second.id)
+    delete_with_files(record, store, first.id)  # again: nothing happens
+    delete_with_files(record, store, second.id)
     assert store.names() == []
 
 
-def test_a_file_that_was_put_just_now_stays(
-    record: Record, engine: Engine, store: ArtifactStore, tmp_path: Path
-) -> None:
+def test_a_file_that_was_put_just_now_stays(record: Record, store: ArtifactStore, tmp_path: Path) -> None:
     job = add(record)
     young = put(store, tmp_path, b"young", old=False)
     finish(record, job, young)
     old = put(store, tmp_path, b"old")
     put(store, tmp_path, b"old", old=False)  # another job is about to name it
-    house = Housekeeping(Record(engine), store, tmp_path)
-    house.delete(job.id)
-    house.tidy()
+    delete_with_files(record, store, job.id)
+    Housekeeping(record, settings(tmp_path)).tidy()
     assert set(store.names()) == {young, old}
 
 
 def test_a_search_finds_files_that_no_job_names_and_half_written_ones(
-    record: Record, engine: Engine, store: ArtifactStore, tmp_path: Path
+    record: Record, store: ArtifactStore, tmp_path: Path
 ) -> None:
     job = add(record)
     named, unnamed = put(store, tmp_path, b"named"), put(store, tmp_path, b"unnamed")
@@ -95,7 +96,7 @@ def test_a_search_finds_files_that_no_job_names_and_half_written_ones(
     for part in parts:
         part.write_bytes(b"half")
     os.utime(parts[0], (0, 0))
-    Housekeeping(Record(engine), store, tmp_path).tidy()
+    Housekeeping(record, settings(tmp_path)).tidy()
     assert store.names() == [named]
     assert [part.exists() for part in parts] == [False, True]
     remove_unfinished(tmp_path / "there is no such folder")

@@ -2,7 +2,7 @@ from typing import Any
 
 import pytest
 
-from services.jobs.job_list import LONGEST_TEXT, listed
+from services.jobs.models import LONGEST_TEXT, listed
 from services.jobs.record import Record
 from tests.unit.jobs.records import SPEC, add, attacks
 

@@ -10,7 +10,7 @@ from redis import Redis
 from rq import Callback, Retry
 
 from services.jobs.queue import Queue, connect, queue_name
-from services.jobs.scheduler import NOTHING, Abilities
+from services.jobs.scheduler import NOTHING
 from services.jobs.states import Priority
 from services.settings import Settings
 from worker.rq_worker import JobWorker, Runner
@@ -126,7 +126,6 @@ def test_bells_of_a_higher_priority_are_answered_first(redis: Redis, worker: Job
 def test_a_worker_announces_what_it_has(redis: Redis, worker: JobWorker) -> None:
     worker.heartbeat()
     assert Queue(redis).workers() == [NOTHING]
-    assert Abilities.of(NOTHING.record()) == NOTHING
 
 
 def test_a_wait_for_messages_is_longer_than_that_for_other_answers(redis_url: str, runner: Noting) -> None:

@@ -6,10 +6,10 @@ import pytest
 import torch
 from torch import Tensor
 
+from services.attacks.outcome import wilson
 from services.errors import InvalidRequest
 from services.questions.executor import ANSWERS
 from services.questions.program import Program
-from services.statistics import wilson
 from services.targets.iep.assembly import Question, assemble
 from services.targets.iep.checkpoint import Checkpoint
 from services.targets.iep.engine import Network

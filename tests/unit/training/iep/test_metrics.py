@@ -1,7 +1,7 @@
 import pytest
 
+from services.attacks.outcome import wilson
 from services.questions.program import Node, Program
-from services.statistics import wilson
 from training.iep.checking import by_family
 from training.iep.examples import Example
 
