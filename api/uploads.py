@@ -12,8 +12,8 @@ from api.warm_pool import MOST_OPEN, Turns, Unavailable
 from services.errors import JobFailure
 from services.logs import logger
 from services.scenes.bundle import About, Bundle
-from services.scenes.isolated_reading import AT_ONCE, reader
 from services.scenes.library import Entry, Library
+from services.scenes.reading.isolated import AT_ONCE, reader
 from services.scenes.uploads import max_unpacked, to_bundle
 from services.settings import Settings
 

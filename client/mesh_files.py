@@ -5,8 +5,8 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from services.errors import InvalidRequest
-from services.scenes.beside import named_files
 from services.scenes.bundle import BESIDE, MAX_FILES
+from services.scenes.reading.companion_files import named_files
 
 
 def with_files_beside(given: Sequence[Path]) -> list[tuple[str, Path]]:

@@ -9,7 +9,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from services.scenes.description import ELEVATION, Environment
-from services.scenes.furniture_kinds import PREFIX
+from services.scenes.furniture import PREFIX
 from services.scenes.library import Library
 from training.batches import plain, shade
 from training.looks import default_looks, environment_look, looks

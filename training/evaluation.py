@@ -15,7 +15,7 @@ from services import disk
 from services.rendering.color import to_bytes
 from services.rendering.factory import build
 from services.scenes.description import Camera, Scene, SceneObject
-from services.scenes.furniture_kinds import PREFIX
+from services.scenes.furniture import PREFIX
 from services.scenes.library import Library
 from services.scenes.resolve import resolve
 from training.batches import normalised

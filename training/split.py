@@ -38,8 +38,7 @@ from torch.nn import functional as F
 
 from services import disk
 from services.scenes.description import ELEVATION, Environment
-from services.scenes.furniture import Model, read_catalogue
-from services.scenes.furniture_kinds import PREFIX, kinds
+from services.scenes.furniture import PREFIX, Model, kinds, read_catalogue
 from services.scenes.library import Library
 from services.scenes.mesh import Doubles, Mesh
 from training.batches import plain, shade

@@ -28,7 +28,7 @@ from typing import Any
 
 from services.confinement import die_with_parent, forbid_new_privileges
 from services.pipeline.spec import DEFAULT_TARGET
-from services.scenes.isolated_reading import READING_BYTES
+from services.scenes.reading.isolated import READING_BYTES
 from services.settings import Settings
 
 ALLOCATOR = {

@@ -39,8 +39,8 @@ from services.rendering.physical_change import physical_changes
 from services.rendering.protocol import Parameters
 from services.rendering.torch_renderer.declaration import TORCH
 from services.scenes.image_file import other_size
-from services.scenes.isolated_reading import reader
 from services.scenes.library import Library
+from services.scenes.reading.isolated import reader
 from services.scenes.resolve import ResolvedScene, resolve
 from services.targets import registry
 from services.targets.labels import same_labels

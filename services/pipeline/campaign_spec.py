@@ -33,7 +33,7 @@ from services.pipeline.spec import AnyAttack, AnyTolerance, JobSpec, TargetChoic
 from services.questions.generator import QuestionGenerator, QuestionRecord
 from services.questions.templates.families import FAMILIES, Kind
 from services.rendering.plan import DEFAULT_TOLERANCE
-from services.scenes import furniture_kinds
+from services.scenes import furniture
 from services.scenes.clevr.description import describe
 from services.scenes.clevr.generator import MAX_OBJECTS, MIN_OBJECTS, generate
 from services.scenes.clevr.records import IMAGE_SIZE, SceneRecord
@@ -89,8 +89,8 @@ class SceneGrid(Model):
     @classmethod
     def _known_kinds(cls, value: tuple[str, ...]) -> tuple[str, ...]:
         for kind in value:
-            if kind not in furniture_kinds.kinds():
-                raise ValueError(f"there is no kind {kind!r}; {there_are(kind, furniture_kinds.kinds())}")
+            if kind not in furniture.kinds():
+                raise ValueError(f"there is no kind {kind!r}; {there_are(kind, furniture.kinds())}")
         return value
 
     @field_validator("views")
@@ -106,7 +106,7 @@ class SceneGrid(Model):
 
     def mesh_names(self) -> tuple[str, ...]:
         """The names of all meshes, each once: those listed, then those of the kinds, taking turns between kinds."""
-        of_kinds = [furniture_kinds.kinds()[kind][: self.per_kind] for kind in self.kinds]
+        of_kinds = [furniture.kinds()[kind][: self.per_kind] for kind in self.kinds]
         turns = (mesh for turn in zip_longest(*of_kinds) for mesh in turn if mesh is not None)
         return tuple(dict.fromkeys((*self.meshes, *turns)))
 

@@ -1,6 +1,6 @@
 """Uploads: a mesh file with the files that it was sent with and its sender's statements; unpacks zip files.
 
-Archives are not trusted: they are unpacked in memory, by a confined process (`services.scenes.reading_process`).
+Archives are not trusted: they are unpacked in memory, by a confined process (`services.scenes.reading.process`).
 """
 
 import hashlib

@@ -3,6 +3,10 @@
 The archives (`*.sh3f`) are Sweet Home 3D furniture libraries: zip files with a `PluginFurnitureCatalog.properties`, in
 Java's .properties format, that numbers its models (`name#12=…`), and an OBJ model with materials and textures for each.
 A model is turned upright, scaled to its catalogue size and fitted.
+
+The kinds of its models, what a person would call them ("chair", "hand tool"), were reviewed by hand. The truth of a
+scene and the classes of the networks that we train follow from this table. A model whose kind is in doubt has none.
+`Entry.category` is the creators' own word, which is a room ("Bedroom") as often as a kind.
 """
 
 import hashlib
@@ -13,6 +17,7 @@ import unicodedata
 import zipfile
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from functools import cache
 from io import BytesIO
 from itertools import chain, count
 from pathlib import Path
@@ -27,7 +32,7 @@ from services.scenes.mesh import Mesh, Part
 from services.scenes.store import load_parts, mesh_path, save_parts
 
 if TYPE_CHECKING:
-    from services.scenes.surfaces import Surface
+    from services.scenes.reading.surfaces import Surface
 
 _ESCAPES = {"t": "\t", "n": "\n", "r": "\r", "f": "\f"}
 
@@ -230,7 +235,7 @@ def load_model(model: Model, furniture: Path, cache: Path) -> Mesh:
     parts = load_parts(kept)
     if parts is None:
         # trimesh takes half a second to import, and a cached mesh does not need it
-        from services.scenes.surfaces import read_obj, to_parts
+        from services.scenes.reading.surfaces import read_obj, to_parts
 
         parts = to_parts(upright(model, read_obj(files, posixpath.basename(model.path))))
         save_parts(kept, parts)
@@ -329,3 +334,23 @@ def _digest(model: Model, files: dict[str, bytes]) -> str:
         digest.update(f"\n{name}\n{len(data)}\n".encode())
         digest.update(data)
     return digest.hexdigest()
+
+
+PREFIX = "furniture/"
+
+
+@cache
+def kinds() -> dict[str, tuple[str, ...]]:
+    """Returns the names of the meshes of each kind, {kind: ("furniture/<slug>", …)}, in the table's order."""
+    table = json.loads(Path(__file__).with_name("furniture_kinds.json").read_text())
+    return {kind: tuple(PREFIX + slug for slug in slugs) for kind, slugs in table.items()}
+
+
+def kind_of(mesh: str) -> str | None:
+    """Returns the kind of a mesh by its name ("furniture/couch" → "sofa"), or None where nobody has said it."""
+    return _kinds_by_mesh().get(mesh)
+
+
+@cache
+def _kinds_by_mesh() -> dict[str, str]:
+    return {mesh: kind for kind, meshes in kinds().items() for mesh in meshes}

@@ -19,7 +19,6 @@ from services.errors import InvalidRequest
 from services.scenes.description import MAP_SIZES, Floor, Scene, SceneObject
 from services.scenes.environment import LIGHTS, EnvironmentMap, average, lights_map
 from services.scenes.image_file import to_display
-from services.scenes.isolated_reading import reader
 from services.scenes.library import Library
 from services.scenes.mesh import (
     FIT_RADIUS,
@@ -32,6 +31,7 @@ from services.scenes.mesh import (
     Part,
     TextureMap,
 )
+from services.scenes.reading.isolated import reader
 from services.scenes.solids import OPAQUE_FROM, has_holes
 from services.scenes.view import camera_to_world, model_matrix, projection, visible_area
 

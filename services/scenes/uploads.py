@@ -19,8 +19,8 @@ from services.blobs import Blobs
 from services.errors import InvalidRequest, JobFailure
 from services.scenes.bundle import MAP_KINDS, NOTHING_SAID, PARSER, SIGNATURE, About, Bundle, bundle_of, clean_name
 from services.scenes.environment import EnvironmentMap, radiance_of
-from services.scenes.isolated_reading import Report, reader
 from services.scenes.mesh import Mesh
+from services.scenes.reading.isolated import Report, reader
 from services.scenes.store import load_parts, mesh_path, save_parts
 from services.settings import DEFAULTS, Settings
 

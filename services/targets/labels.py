@@ -13,7 +13,7 @@ from importlib.resources import files
 from typing import TypedDict
 
 from services.errors import InvalidRequest, JobFailure, out_of_memory, printable, summary
-from services.scenes.furniture_kinds import PREFIX, kind_of
+from services.scenes.furniture import PREFIX, kind_of
 from services.targets.info import LONGEST_LABEL, RegisteredTarget, TargetInfo
 
 

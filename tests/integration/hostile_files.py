@@ -8,7 +8,7 @@ import struct
 import zipfile
 from collections.abc import Callable, Iterator
 
-from services.scenes.reading import KINDS
+from services.scenes.reading.formats import KINDS
 from tests.integration.hostile_glb import GLB, MILLION, texture_at
 from tests.unit.scenes.mesh_files import (
     ASCII_PLY,

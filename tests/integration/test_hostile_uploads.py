@@ -22,7 +22,7 @@ GROWTH = 200 * 2**20
 PRIVATE = (os.getcwd(), sys.prefix, "/tmp", "/root", "/home", "/usr", "site-packages", "Traceback", ".py")
 """What no answer may hold."""
 SMALL = {"objects": [{"mesh": "primitive/sphere"}], "camera": {"size": [32, 32]}}
-READER = "services.scenes.reading_process"
+READER = "services.scenes.reading.process"
 
 
 def memory(stack: Stack) -> int:

@@ -15,7 +15,7 @@ from services.rendering.opengl import context
 from services.rendering.opengl.gbuffer import rasterise
 from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
 from services.scenes.mesh import Bytes, Doubles, Part, fitted
-from services.scenes.reading import read_mesh
+from services.scenes.reading.formats import read_mesh
 from services.scenes.resolve import ResolvedScene
 
 FORMULA = 1e-5

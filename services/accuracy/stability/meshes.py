@@ -16,7 +16,7 @@ from services.accuracy.stability.references import EXPOSURE, Lamps, displayed, r
 from services.rendering.factory import build
 from services.rendering.opengl.gbuffer import rasterise
 from services.scenes.mesh import FIT_RADIUS, Bytes, Doubles, Longs, Part
-from services.scenes.reading import read_mesh
+from services.scenes.reading.formats import read_mesh
 from services.settings import DEFAULTS
 
 SAME = 2e-6

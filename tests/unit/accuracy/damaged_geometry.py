@@ -8,7 +8,8 @@ import torch
 from services.accuracy.stability import geometry, meshes, pyrender_light, torch_shading
 from services.attacks import problem
 from services.rendering.pyrender_renderer import renderer as pyrender_renderer
-from services.scenes import normals, resolve, surfaces
+from services.scenes import resolve
+from services.scenes.reading import normals, surfaces
 
 
 def shifted_frames(patch) -> None:

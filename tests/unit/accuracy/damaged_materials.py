@@ -7,7 +7,8 @@ import numpy as np
 from services.accuracy import placing
 from services.rendering.kernels import compiled
 from services.rendering.pyrender_renderer import parameters, renderer
-from services.scenes import gltf, resolve
+from services.scenes import resolve
+from services.scenes.reading import gltf
 from tests.unit.accuracy.damaged_shaders import shader
 
 # light

@@ -12,7 +12,8 @@ from services.rendering.pyrender_renderer import parameters
 from services.rendering.pyrender_renderer import renderer as pyrender_renderer
 from services.rendering.torch_renderer import light, shader
 from services.rendering.torch_renderer import renderer as torch_renderer
-from services.scenes import environment, gltf, reading, resolve, view
+from services.scenes import environment, resolve, view
+from services.scenes.reading import formats, gltf
 
 
 def half_exposure(patch) -> None:
@@ -170,7 +171,7 @@ def files_upside_down(patch) -> None:
         up = torch.tensor([0.0, 1.0]).numpy()
         return tuple(replace(part, uv=abs(up - part.uv)) for part in true(*given))
 
-    for module in (gltf, reading):
+    for module in (gltf, formats):
         patch.setattr(module, "read_gltf", upside_down, raising=False)
 
 

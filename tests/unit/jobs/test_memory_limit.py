@@ -6,7 +6,7 @@ import pytest
 
 from services.jobs import processes as module
 from services.jobs.processes import LEAST_MEMORY, MOST_MEMORY, REST_BYTES, machine_memory, memory_limit
-from services.scenes.isolated_reading import READING_BYTES
+from services.scenes.reading.isolated import READING_BYTES
 from services.settings import Settings
 
 GIB = 2**30

@@ -12,7 +12,7 @@ from services.errors import InvalidRequest
 from services.pipeline.campaign_plan import jobs, views
 from services.pipeline.campaign_spec import CampaignSpec, RandomViews, SceneGrid, parse
 from services.pipeline.check import check_campaign_meshes, check_size, most_jobs, placed, samples
-from services.scenes import furniture_kinds
+from services.scenes import furniture
 from services.targets import registry
 from services.targets.labels import truth_labels
 
@@ -138,7 +138,7 @@ def test_the_azimuths_are_the_same_on_every_machine() -> None:
 
 def test_kinds_take_turns() -> None:
     grid = SceneGrid(meshes=("primitive/cube",), kinds=("chair", "sofa"), per_kind=2)
-    chairs, sofas = (furniture_kinds.kinds()[kind] for kind in ("chair", "sofa"))
+    chairs, sofas = (furniture.kinds()[kind] for kind in ("chair", "sofa"))
     assert grid.mesh_names() == ("primitive/cube", chairs[0], sofas[0], chairs[1], sofas[1])
 
 
@@ -149,7 +149,7 @@ def test_a_campaign_over_the_limit_is_refused() -> None:
     check_size(parse(changed(selection={"most": 1})), 8)
     with pytest.raises(InvalidRequest, match="asks the networks for 8 views, and the limit is 7"):
         check_size(parse(changed(selection={"most": 1})), 7)
-    huge = {"kinds": list(furniture_kinds.kinds()), "views": {"random": 1000}}
+    huge = {"kinds": list(furniture.kinds()), "views": {"random": 1000}}
     with pytest.raises(InvalidRequest, match="limit is 10,000"):
         check_size(parse(changed(scenes=huge)), 10_000)
 
@@ -217,7 +217,7 @@ def test_the_examples_are_requests_within_the_limit(name: str, most: int) -> Non
 def test_the_papers_tables_attack_models_that_no_network_was_trained_on(name: str) -> None:
     root = Path(__file__).parents[3]
     split = json.loads((root / "training" / "split.json").read_text("utf-8"))
-    held_out = {f"{furniture_kinds.PREFIX}{slug}" for kind in split["classes"] for slug in split["held_out"][kind]}
+    held_out = {f"{furniture.PREFIX}{slug}" for kind in split["classes"] for slug in split["held_out"][kind]}
     campaign = parse(json.loads((root / "examples" / f"paper-{name}.json").read_text("utf-8")))
     for grid in campaign.grids:
         assert isinstance(grid.scenes, SceneGrid)

@@ -11,8 +11,8 @@ import pytest
 import trimesh
 
 from services.errors import InvalidRequest
-from services.scenes.reading import KINDS, read_mesh
-from services.scenes.reading_process import exported
+from services.scenes.reading.formats import KINDS, read_mesh
+from services.scenes.reading.process import exported
 
 MAX_FACES = 300_000
 RIGHT_TRIANGLE = ["0", "0", "0", "1", "0", "0", "0", "1", "0"]

@@ -4,7 +4,7 @@ import hashlib
 import json
 from pathlib import Path
 
-from services.scenes.reading import read_mesh
+from services.scenes.reading.formats import read_mesh
 from services.scenes.store import save_parts
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from services.errors import InvalidRequest
 from services.scenes.bundle import unpack_archive
-from services.scenes.isolated_reading import reader
+from services.scenes.reading.isolated import reader
 
 MOST = 2**22
 

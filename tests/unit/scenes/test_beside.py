@@ -7,8 +7,8 @@ import pytest
 from PIL import Image
 
 from services.errors import InvalidRequest
-from services.scenes.beside import named_files, texture_name
-from services.scenes.isolated_reading import reader
+from services.scenes.reading.companion_files import named_files, texture_name
+from services.scenes.reading.isolated import reader
 from tests.unit.scenes.mesh_files import ASCII_PLY, BOXES, MAX_FACES
 
 OBJ = (

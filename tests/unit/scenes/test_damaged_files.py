@@ -10,11 +10,11 @@ import trimesh
 from PIL import Image
 
 from services.errors import InvalidRequest
-from services.scenes.beside import Beside
 from services.scenes.bundle import unpack_archive
-from services.scenes.map_file import read_map
-from services.scenes.reading import read_mesh
-from services.scenes.reading_process import SMALL_EXR, exported
+from services.scenes.environment import read_map
+from services.scenes.reading.companion_files import Beside
+from services.scenes.reading.formats import read_mesh
+from services.scenes.reading.process import SMALL_EXR, exported
 
 BOX = trimesh.creation.box()
 INTERNALS = ("Error", "Stream", "codec", "sys.", "Expecting", "int()", "float:", "method", "matmul", "seek")

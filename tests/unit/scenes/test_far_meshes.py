@@ -11,9 +11,9 @@ import trimesh
 from services.rendering.factory import build
 from services.scenes.bundle import Bundle
 from services.scenes.description import Scene
-from services.scenes.isolated_reading import reader
 from services.scenes.library import Library
-from services.scenes.reading_process import exported
+from services.scenes.reading.isolated import reader
+from services.scenes.reading.process import exported
 from services.scenes.resolve import resolve
 from services.settings import Settings
 

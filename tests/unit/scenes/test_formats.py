@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from services.errors import InvalidRequest
-from services.scenes.isolated_reading import reader
+from services.scenes.reading.isolated import reader
 from tests.unit.scenes.format_files import BOUND, MODEL, TEXTURED, dae, gltf, obj, off, ply, three_mf, zipped
 from tests.unit.scenes.mesh_files import MAX_FACES, extent
 

@@ -10,7 +10,7 @@ from PIL import Image
 from services.errors import JobFailure
 from services.scenes.furniture import IDENTITY, Model, load_model
 from services.scenes.mesh import FIT_RADIUS
-from services.scenes.surfaces import read_opacity
+from services.scenes.reading.surfaces import read_opacity
 
 pytestmark = pytest.mark.slow
 

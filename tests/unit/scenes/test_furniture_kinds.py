@@ -2,7 +2,7 @@
 
 from collections import Counter
 
-from services.scenes.furniture_kinds import kind_of, kinds
+from services.scenes.furniture import kind_of, kinds
 from services.scenes.library import Library
 
 

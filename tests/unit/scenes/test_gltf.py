@@ -13,8 +13,8 @@ from benchmarks.gltf_models import MODELS, Writer, checks, sphere
 from services.errors import InvalidRequest
 from services.scenes.library import Library
 from services.scenes.mesh import FIT_RADIUS, MetallicRoughness, Part
-from services.scenes.normals import derive_tangents
-from services.scenes.reading import read_mesh
+from services.scenes.reading.formats import read_mesh
+from services.scenes.reading.normals import derive_tangents
 
 MANY = 300_000
 TRIANGLE: dict[str, Any] = {"POSITION": np.eye(3), "indices": np.arange(3)}

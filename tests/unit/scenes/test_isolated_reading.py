@@ -11,10 +11,10 @@ from safetensors.numpy import load, save
 
 from benchmarks.gltf_models import MODELS
 from services.errors import InvalidRequest
-from services.scenes import reading_process
-from services.scenes.isolated_reading import IsolatedReader, Report, pack, reader, unpack
 from services.scenes.mesh import Part
-from services.scenes.reading import read_mesh
+from services.scenes.reading import process
+from services.scenes.reading.formats import read_mesh
+from services.scenes.reading.isolated import IsolatedReader, Report, pack, reader, unpack
 from tests.processes import command_line
 from tests.unit.scenes.mesh_files import ASCII_PLY, BOXES, MAX_FACES
 from tests.unit.scenes.test_image_file import POSTSCRIPT, stored
@@ -37,7 +37,7 @@ def same(one: object, other: object) -> bool:
 
 def servers() -> list[psutil.Process]:
     """The living servers among this process's children."""
-    return [p for p in psutil.Process().children() if "services.scenes.reading_process" in command_line(p)]
+    return [p for p in psutil.Process().children() if "services.scenes.reading.process" in command_line(p)]
 
 
 def own_server() -> psutil.Process:
@@ -122,12 +122,12 @@ def test_a_server_has_no_environment_of_ours_and_no_rights():
 
 
 def test_a_file_that_needs_too_much_memory_is_refused(monkeypatch):
-    monkeypatch.setattr(reading_process, "read_mesh", lambda *_: bytearray(2**40))
+    monkeypatch.setattr(process, "read_mesh", lambda *_: bytearray(2**40))
     ours, theirs = socket.socketpair()
     with ours, theirs:
         ours.sendall(b'{"mesh": "obj", "max_faces": 1, "files": [], "up": null}\nv')
         ours.shutdown(socket.SHUT_WR)
-        reading_process.answer(theirs.fileno())
+        process.answer(theirs.fileno())
         assert b'"field": "file", "detail": "it needs more memory' in ours.recv(1000)
 
 
@@ -154,14 +154,14 @@ def test_a_child_that_ends_without_an_answer_is_the_files_fault(monkeypatch, end
 
 
 def test_a_child_over_its_time_is_killed(monkeypatch):
-    monkeypatch.setattr(reading_process, "WALL_SECONDS", 0.05)
+    monkeypatch.setattr(process, "WALL_SECONDS", 0.05)
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     pid = os.fork()
     if not pid:
         # A child that waits for its request for ever; the limits of a child would be those of the test.
         ours.close()
-        monkeypatch.setattr(reading_process, "confine", lambda *_: None)
-        reading_process.serve(theirs, 0)
+        monkeypatch.setattr(process, "confine", lambda *_: None)
+        process.serve(theirs, 0)
         os._exit(0)
     theirs.close()
     request, kept = socket.socketpair()

@@ -5,9 +5,9 @@ import struct
 import pytest
 
 from services.errors import InvalidRequest
-from services.scenes import gltf
-from services.scenes.gltf_file import GltfFile
-from services.scenes.reading import KINDS, read_mesh
+from services.scenes.reading import gltf
+from services.scenes.reading.formats import KINDS, read_mesh
+from services.scenes.reading.gltf import GltfFile
 from tests.unit.scenes.mesh_files import (
     ASCII_PLY,
     ASCII_STL,

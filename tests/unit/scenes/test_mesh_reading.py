@@ -13,7 +13,7 @@ from PIL import Image
 
 from services.errors import InvalidRequest
 from services.scenes.mesh import FIT_RADIUS
-from services.scenes.reading import KINDS, read_mesh
+from services.scenes.reading.formats import KINDS, read_mesh
 from tests.unit.scenes.mesh_files import (
     ASCII_PLY,
     ASCII_STL,

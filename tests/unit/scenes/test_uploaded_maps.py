@@ -8,12 +8,11 @@ import OpenEXR
 import pytest
 
 from services.errors import InvalidRequest
-from services.scenes import map_file
+from services.scenes import environment
 from services.scenes.bundle import About, Bundle
-from services.scenes.environment import average, from_image
-from services.scenes.isolated_reading import reader
+from services.scenes.environment import average, from_image, read_map
 from services.scenes.library import Library
-from services.scenes.map_file import read_map
+from services.scenes.reading.isolated import reader
 from tests.unit.scenes.mesh_files import BOXES
 
 TEXELS = np.random.default_rng(3).gamma(0.5, 2.0, (8, 16, 3)).astype(np.float32)
@@ -112,7 +111,7 @@ def test_a_bad_map_is_refused_by_name(case):
 
 
 def test_a_large_map_is_averaged_and_keeps_its_light(monkeypatch):
-    monkeypatch.setattr(map_file, "MAX_ROWS", 4)
+    monkeypatch.setattr(environment, "MAX_ROWS", 4)
     reduced = read_map(exr(TEXELS), "exr")
     assert reduced.shape == (4, 8, 3)
     whole = average(TEXELS, 1, 1)

@@ -1,6 +1,6 @@
 import pytest
 
-from services.scenes.beside import Named, collada_images
+from services.scenes.reading.companion_files import Named, collada_images
 
 IMAGES = """<library_images>
 <image id="wood" name="w"><init_from> wood%20grain.png </init_from></image>

@@ -1,6 +1,6 @@
 """The table of truths names models and kinds that the library has, and labels that ImageNet has."""
 
-from services.scenes.furniture_kinds import PREFIX, kinds
+from services.scenes.furniture import PREFIX, kinds
 from services.scenes.library import Library
 from services.settings import Settings
 from services.targets.labels import imagenet_labels, imagenet_table, same_labels, truth_labels

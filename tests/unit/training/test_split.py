@@ -6,8 +6,7 @@ from itertools import chain
 import numpy as np
 import torch
 
-from services.scenes.furniture import Model
-from services.scenes.furniture_kinds import PREFIX, kind_of
+from services.scenes.furniture import PREFIX, Model, kind_of
 from services.scenes.primitives import primitive
 from training.split import (
     AT_MOST,

@@ -15,7 +15,7 @@ from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
 from services.rendering.torch_renderer.renderer import TorchRenderer
 from services.scenes.description import Lights, PointLight, Scene
 from services.scenes.mesh import Mesh
-from services.scenes.reading import read_mesh
+from services.scenes.reading.formats import read_mesh
 from tests.unit.rendering import shapes
 from tests.unit.rendering.shapes import placed, scene
 

@@ -1,4 +1,4 @@
-"""Reads files that are not trusted in processes of their own, one for each file (`services.scenes.reading_process`).
+"""Reads files that are not trusted in processes of their own, one for each file (`services.scenes.reading.process`).
 
 The parts of a mesh come back as plain arrays, which are checked on arrival: the bytes are a safetensors file, in which
 nothing can be run, with the arrays and a JSON document of the rest. A texture that several parts use is sent once.
@@ -257,7 +257,7 @@ class IsolatedReader:
             raise InvalidRequest("file", _GONE) from error
 
     def read_map(self, data: bytes, kind: str) -> Floats:
-        """Returns the texels of an environment map, as `map_file.read_map` does: float32 [h,w,3], finite and ≥ 0.
+        """Returns the texels of an environment map, as `environment.read_map` does: float32 [h,w,3], finite and ≥ 0.
 
         Raises InvalidRequest("file", …), and JobFailure("internal") if no process can be started.
         """
@@ -346,7 +346,7 @@ class IsolatedReader:
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with theirs:
             self._server = subprocess.Popen(
-                [sys.executable, "-m", "services.scenes.reading_process", str(theirs.fileno())],
+                [sys.executable, "-m", "services.scenes.reading.process", str(theirs.fileno())],
                 pass_fds=[theirs.fileno()],
                 env=_environment(),
                 cwd="/",

@@ -1,6 +1,6 @@
 """The process in which files that are not trusted are parsed: a server that forks one confined child for each file.
 
-`services.scenes.isolated_reading` starts it with `python -m services.scenes.reading_process FD`, FD being its end of a
+`services.scenes.reading.isolated` starts it with `python -m services.scenes.reading.process FD`, FD being its end of a
 socket. For each file it gets a descriptor over that socket, from which the child reads the request and to which it
 writes the answer: a line of JSON, and bytes after it. The server itself reads no byte of any file. It has imported all
 that a child needs, so that a child begins within milliseconds and needs no file.
@@ -25,12 +25,12 @@ from PIL import Image
 
 from services.confinement import Limits, address_space, confine, drop_privileges
 from services.errors import InvalidRequest
-from services.scenes.beside import Beside
 from services.scenes.bundle import Bundle, unpack_archive
+from services.scenes.environment import read_map
 from services.scenes.image_file import read_image
-from services.scenes.isolated_reading import FILE_BYTES, pack
-from services.scenes.map_file import read_map
-from services.scenes.reading import KINDS, read_mesh, report
+from services.scenes.reading.companion_files import Beside
+from services.scenes.reading.formats import KINDS, read_mesh, report
+from services.scenes.reading.isolated import FILE_BYTES, pack
 
 LIMITS = Limits(memory_bytes=FILE_BYTES, cpu_seconds=25)
 WALL_SECONDS = 90.0

@@ -1,16 +1,31 @@
-"""Checks a mesh file before a parser reads it: what would take too much time or memory is refused, and so is what a
-parser would pass over without a word. What a parser refuses itself is left to it.
+"""Reads mesh files that are not trusted: upright, as parts, with a report of what of them is shown and what is not.
+
+A file is checked before a parser reads it: what would take too much time or memory is refused, and so is what a parser
+would pass over without a word. What a parser refuses itself is left to it.
 """
 
 import re
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from io import BytesIO
+from typing import Any
 
-from services.errors import InvalidRequest
-from services.scenes.beside import check_xml
-from services.scenes.bundle import SIGNATURE, unpack_archive
-from services.scenes.gltf_file import GltfFile, elements, json_of, size
-from services.scenes.unreadable import TooLarge, Unreadable
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+from PIL import Image
+
+from services.errors import InvalidRequest, shortened
+from services.scenes.bundle import SIGNATURE, Up, unpack_archive
+from services.scenes.image_file import open_texture
+from services.scenes.mesh import Part
+from services.scenes.reading.companion_files import Beside, check_xml, decoded, texture_name
+from services.scenes.reading.gltf import GltfFile, elements, json_of, read_gltf, size
+from services.scenes.reading.isolated import Report, listed
+from services.scenes.reading.surfaces import MAX_TEXTURE, read_opacity, read_surfaces, to_parts
+from services.scenes.unreadable import DAMAGED, TooLarge, Unreadable
 
 _SIZES = {
     **dict.fromkeys(("char", "uchar", "int8", "uint8"), 1),
@@ -248,3 +263,202 @@ CHECKS: dict[str, Callable[[bytes, int], None]] = {
 }
 """Validators by file kind. Each takes the bytes and the largest number of triangles, and raises TooLarge for more, and
 Unreadable (or another exception of its parsing) if the file cannot be valid."""
+
+
+def is_z_up(data: bytes, kind: str) -> bool:
+    """Whether +z is up: in every 3mf file, and in a dae file that says so. In all other formats +y is."""
+    return kind == "3mf" or (kind == "dae" and re.search(rb"<up_axis>\s*Z_UP\s*<", data) is not None)
+
+
+def upright(parts: tuple[Part, ...]) -> tuple[Part, ...]:
+    """Returns the parts of a file in which +z is up with +y up: turned about x by −90°, which leaves them fitted."""
+    turned_parts = []
+    for part in parts:
+        own = part.metallic_roughness
+        turned = replace(part, vertices=_turned(part.vertices), normals=_turned(part.normals))
+        if own is not None:
+            tangents = np.concatenate([_turned(own.tangents[:, :3]), own.tangents[:, 3:]], axis=1)
+            turned = replace(turned, metallic_roughness=replace(own, tangents=tangents))
+        turned_parts.append(turned)
+    return tuple(turned_parts)
+
+
+def _turned(vectors: NDArray[Any]) -> NDArray[Any]:
+    return np.stack([vectors[:, 0], vectors[:, 2], -vectors[:, 1]], axis=1)
+
+
+KINDS = tuple(CHECKS)
+"""The file kinds that are read."""
+
+
+def read_mesh(
+    data: bytes,
+    kind: str,
+    max_faces: int,
+    beside: Beside | None = None,
+    up: Up | None = None,
+    note: Callable[[str], None] = lambda _: None,
+) -> tuple[Part, ...]:
+    """Returns the parts of a mesh file, fitted to the frame. `kind` is an element of KINDS; `beside` has the materials
+    and textures that it may name. `up` is the file's axis that points up; None: as its format says.
+    `note` is given what its coordinates have lost (`rounding_note`).
+
+    Raises InvalidRequest("kind", …) for an unknown kind, and InvalidRequest("file", …) if the bytes are not of that
+    kind, declare more data than they hold, cannot be parsed, have no triangles or more than `max_faces`, have vertices
+    that are not finite, or have no area, or if a texture is no image.
+    """
+    parts = _parts(data, kind, max_faces, beside or Beside({}), note)
+    return upright(parts) if up == "z" or (up is None and is_z_up(data, kind)) else parts
+
+
+def _parts(data: bytes, kind: str, max_faces: int, beside: Beside, note: Callable[[str], None]) -> tuple[Part, ...]:
+    if kind not in CHECKS:
+        raise InvalidRequest("kind", f"{kind!r} meshes are not read; one of {', '.join(KINDS)} is")
+    if not data.strip():
+        raise InvalidRequest("file", "it is empty")
+    try:
+        CHECKS[kind](data, max_faces)
+        # Suppress numpy's warnings: numbers that are not finite are reported by name.
+        with np.errstate(all="ignore"):
+            if kind in ("glb", "gltf"):
+                file = GltfFile(data.removeprefix(b"\xef\xbb\xbf"), beside)
+                check_elements(file, len(data) + beside.size, max_faces)
+                return read_gltf(file, max_faces, note)
+            beside.check()
+            text = decoded(data).encode() if kind in ("obj", "off") else _in_doubles(data) if kind == "ply" else data
+            scene = trimesh.load_scene(BytesIO(text), file_type=kind, resolver=beside, process=False)
+    except (MemoryError, InvalidRequest):
+        raise
+    except TooLarge as error:
+        raise InvalidRequest("file", str(error)) from error
+    except Exception as error:  # parsers raise many types of exceptions; in every case the file is invalid
+        message = shortened(error) if isinstance(error, Unreadable) else DAMAGED
+        raise InvalidRequest("file", f"it is not a readable {kind} mesh: {message}") from error
+    count = triangles(scene)
+    if count > max_faces:
+        raise InvalidRequest("file", str(TooLarge(count, "triangles", max_faces)))
+    try:
+        # Nobody sends what cannot be seen: an opacity of 0 is a writer's mistake, of `Tr` above all.
+        opacity = {name: value or 1.0 for name, value in read_opacity(beside.libraries()).items()}
+        return to_parts(read_surfaces(scene, opacity), note=note)
+    except (ValueError, OSError, SyntaxError) as error:  # a damaged texture is an OSError or a SyntaxError of Pillow
+        is_ours = isinstance(error, Unreadable)
+        message = shortened(error) if is_ours else "a texture or its coordinates are damaged, or cut off"
+        raise InvalidRequest("file", f"it cannot be shown: {message}") from error
+
+
+def _in_doubles(ply: bytes) -> bytes:
+    """Declares the coordinates of a PLY file in text as 64-bit numbers: its digits may be more than 32 bits hold."""
+    header, end, body = ply.partition(b"end_header")
+    if not re.search(rb"(?m)^format ascii\b", header):
+        return ply
+    return (
+        re.sub(rb"(?m)^property[ \t]+float(?:32)?[ \t]+([xyz])[ \t]*(?=\r?$)", rb"property double \1", header)
+        + end
+        + body
+    )
+
+
+def triangles(scene: trimesh.Scene) -> int:
+    """Returns the number of triangles of a scene over all instances, without creating the instances."""
+    counts = {name: len(getattr(geometry, "faces", ())) for name, geometry in scene.geometry.items()}
+    return sum(counts[scene.graph[node][1]] for node in scene.graph.nodes_geometry)
+
+
+_3MF = {b"<basematerials": "materials", b":colorgroup": "colours", b":texture2d": "textures"}
+"""Elements of a model in a 3mf file that the parser passes over, with their names in a report."""
+_NOT_DRAWN = {"animations": "animations", "skins": "skins", "cameras": "cameras"}
+
+
+def report(data: bytes, kind: str, beside: Beside, parts: Sequence[Part], notes: Sequence[str]) -> Report:
+    """Returns what became of what a mesh file holds and names.
+
+    `parts` are those that were read from it, and `notes` what was said of it then to be not shown.
+    """
+    used, dropped = _files(beside, any(part.textured for part in parts))
+    dropped = [*notes, *dropped]
+    if kind == "obj" and re.search(rb"(?m)^[ \t]*v(?:[ \t]+[-+.\deE]+){6}", data):
+        hidden = beside.libraries() or re.search(rb"(?m)^[ \t]*f[ \t]+-?\d+/-?\d", data)
+        (dropped if hidden else used).append("vertex colours")
+    if kind == "off" and data.startswith(b"COFF"):
+        dropped.append("vertex colours")
+    if kind == "ply" and (red := re.search(rb"(?m)^property \w+ red\b", data[: data.find(b"end_header")])):
+        colours = "face colours" if b"element face" in data[: red.start()] else "vertex colours"
+        (dropped if any(entry.startswith("texture ") for entry in used) else used).append(colours)
+    if kind in ("glb", "gltf"):
+        more, less = _gltf_report(GltfFile(data.removeprefix(b"\xef\xbb\xbf"), beside), parts)
+        used, dropped = used + more, dropped + less
+    if kind == "dae" and b'semantic="COLOR"' in data:
+        (dropped if b"<instance_material" in data else used).append("vertex colours")
+    if "vertex colours" in used and kind not in ("glb", "gltf"):
+        dropped.append("blends of vertex colours: each triangle has the mean of its corners")
+    if any(_is_partly_opaque(part) for part in parts):
+        dropped.append("partial opacity of colours: below a half is cut out, the rest is opaque")
+    if kind == "3mf":
+        models = b"".join(
+            content for name, content in unpack_archive(data, MAX_3MF).items() if name.lower().endswith(".model")
+        )
+        dropped += [word for mark, word in _3MF.items() if mark in models]
+    return Report(listed(used), listed(dropped))
+
+
+def _files(beside: Beside, textured: bool) -> tuple[list[str], list[str]]:
+    used: list[str] = []
+    dropped: list[str] = []
+    named_paths: set[str | None] = set()
+    for file in beside.named:
+        path = beside.find(file.name)
+        label = f"{file.what} {path or file.name}"
+        named_paths.add(path)
+        if path is None:
+            dropped.append(f"{label} missing")
+        elif not file.is_shown:
+            dropped.append(f"{label} not used")
+        elif file.what == "texture" and not textured:
+            dropped.append(f"{label} not used: the mesh has no texture coordinates")
+        else:
+            used.append(label)
+            dropped += _detail(label, open_texture(beside.data(path), path)) if file.what == "texture" else []
+    for options in re.findall(r"(?mi)^\s*map_Kd\s+(-\S.*)$", beside.libraries()):
+        words, name = texture_name(options)
+        dropped.append(f"options {words} of the texture {name}")
+    dropped += [
+        f"opacity 0 of the material {name}" for name, value in read_opacity(beside.libraries()).items() if not value
+    ]
+    dropped += [f"{path} not used: the mesh does not name it" for path in beside.paths if path not in named_paths]
+    return used, dropped
+
+
+def _is_partly_opaque(part: Part) -> bool:
+    """Whether a surface that no glTF file describes has texels between opaque and transparent."""
+    if part.texture is None:
+        return False
+    opacity = part.texture[..., 3]
+    return bool(((opacity > 0) & (opacity < 255)).any())
+
+
+def _detail(label: str, image: Image.Image) -> list[str]:
+    """Returns a report on a texture that is shown with fewer texels than it has; an empty list for all others."""
+    if max(image.size) <= MAX_TEXTURE:
+        return []
+    return [f"detail of {label}: {image.width}×{image.height} texels, of which at most {MAX_TEXTURE} a side are shown"]
+
+
+def _gltf_report(file: GltfFile, parts: Sequence[Part]) -> tuple[list[str], list[str]]:
+    materials = [part.metallic_roughness for part in parts if part.metallic_roughness is not None]
+    names = dict.fromkeys(name for material in materials for name in material.maps)
+    used = [f"{name.replace('_', ' ')} map" for name in names]
+    if any((material.vertex_colors != 1).any() for material in materials):
+        used.append("vertex colours")
+    tree = file.tree
+    dropped = [word for key, word in _NOT_DRAWN.items() if tree.get(key)]
+    if any(primitive.get("targets") for mesh in tree.get("meshes", []) for primitive in mesh.get("primitives", [])):
+        dropped.append("morph targets")
+    for index in range(len(file.array("images"))):
+        with suppress(ValueError):  # one that nothing shows, or the mesh would have been refused
+            uri = file.item("images", index).get("uri", "data:")
+            # `_files` knows those in files of their own.
+            dropped += _detail(f"images[{index}]", file.image(index)) if str(uri).startswith("data:") else []
+    read = ("KHR_mesh_quantization", "EXT_texture_webp")
+    dropped += [f"extension {name}" for name in file.array("extensionsUsed") if name not in read]
+    return used, dropped

@@ -19,7 +19,7 @@ from PIL import Image
 
 from services.scenes.image_file import MAX_PIXELS, to_linear
 from services.scenes.mesh import Bytes, Doubles, Floats, Longs, Part, fitted
-from services.scenes.normals import CREASE_ANGLE, smooth_normals
+from services.scenes.reading.normals import CREASE_ANGLE, smooth_normals
 from services.scenes.unreadable import Unreadable
 
 FAR = 1_000.0
