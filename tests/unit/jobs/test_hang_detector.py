@@ -42,6 +42,7 @@ def test_a_process_that_computes_is_not_still_and_a_stopped_one_is(spinning: "su
         clock.now += 1
         assert detector.seconds() == 0
     os.kill(spinning.pid, signal.SIGSTOP)
+    os.waitpid(spinning.pid, os.WUNTRACED)  # until it is stopped
     clock.now += 1
     detector.seconds()  # it may have used some before it was stopped
     before = detector.seconds()
