@@ -3,9 +3,11 @@
 import json
 import os
 import re
+import shlex
+import shutil
 import subprocess
 import sys
-from collections.abc import Callable
+from contextlib import chdir
 from pathlib import Path
 from typing import Any
 from zipfile import ZipFile
@@ -15,9 +17,10 @@ import trimesh
 
 from client.commands_page import commands, examples
 from services.attacks.run import saved_step
-from tests.integration.conftest import Stack, serving, until
+from tests.integration.conftest import Stack, until
 from tests.integration.specs import ENDLESS, QUICK, long
 from tests.integration.test_run import FEW, small
+from tests.unit.client.command_line import cli
 
 pytestmark = pytest.mark.integration
 
@@ -70,12 +73,25 @@ class Reader:
     def run(self, example: str, **words: str) -> str:
         """The standard output of an example of --help, in which words are replaced by the test's own."""
         self.left.remove(example)
-        return self.shell(example, **words)
-
-    def shell(self, command: str, **words: str) -> str:
         for word, own in words.items():
-            assert word in command
-            command = command.replace(word, own)
+            assert word in example
+            example = example.replace(word, own)
+        return self.command(example)
+
+    def command(self, text: str) -> str:
+        """The standard output of one command, run in this process. It may read a file by `<`."""
+        _, *arguments = shlex.split(text)
+        stdin = ""
+        if "<" in arguments:
+            *arguments, _, file = arguments
+            stdin = (self.folder / file).read_text()
+        with chdir(self.folder):
+            done = cli(*arguments, stdin=stdin, **self.environ)
+        assert done.returncode == 0, f"{text}\n{done.stdout}{done.stderr}"
+        return done.stdout
+
+    def shell(self, command: str) -> str:
+        """The standard output of a script of bash."""
         done = subprocess.run(
             ["bash", "-euo", "pipefail", "-c", command],
             cwd=self.folder,
@@ -104,15 +120,15 @@ def poses() -> dict[str, Any]:
     return spec
 
 
-def test_every_example_runs(tmp_path: Path) -> None:
+def test_every_example_runs(tmp_path: Path, stack: Stack) -> None:
     (tmp_path / "reader").mkdir()
     reader = Reader(tmp_path / "reader")
     alone(reader)
-    with serving(tmp_path / "data") as stack:
-        reader.environ = {"SCENE_ATTACK_URL": stack_url(stack), "SCENE_ATTACK_DATA": str(stack.data)}
-        jobs(reader, stack)
-        campaigns(reader, stack)
-        assets_and_keys(reader)
+    keys_and_backups(reader)
+    reader.environ = {"SCENE_ATTACK_URL": stack_url(stack)}
+    jobs(reader, stack)
+    campaigns(reader, stack)
+    assets(reader)
     assert reader.left == []
 
 
@@ -132,15 +148,14 @@ def alone(reader: Reader) -> None:
     run("scene-attack run - --out out/x < spec.json")
     run("scene-attack replay out/combined")
     assert "Subsets" in run("scene-attack analyse out/combined --minimal")
-    reader.shell(
-        "scene-attack run poses.json --out out/poses; scene-attack run examples/image-fgsm.json --out out/image"
-    )
+    reader.command("scene-attack run poses.json --out out/poses")
+    reader.command("scene-attack run examples/image-fgsm.json --out out/image")
     run("scene-attack analyse out/poses --coordinates --transfer efficientnet-lite0 --renderer torch")
     run("scene-attack rerender out/image/attacked.png examples/image-fgsm.json --out rendered.png")
     run("scene-attack export out/combined --out out/combined-export")
     assert (reader.folder / "out/combined-export/scene_after.glb").is_file()
     run("scene-attack campaign run examples/campaign-small.json --out out/small")
-    reader.shell("rm -r out/x")
+    shutil.rmtree(reader.folder / "out/x")
     run("scene-attack campaign run - --out out/x < campaign.json")
     run("scene-attack campaign export out/small --maite out/adversaries")
     assert (reader.folder / "out/adversaries/metadata.json").is_file()
@@ -149,8 +164,9 @@ def alone(reader: Reader) -> None:
 def jobs(reader: Reader, stack: Stack) -> None:
     run = reader.run
     assert "soccer" in run("scene-attack submit examples/image-fgsm.json --watch")
-    run("scene-attack submit - --url http://10.0.0.7:8008 < spec.json", **{"http://10.0.0.7:8008": stack_url(stack)})
-    found = json.loads(reader.shell("scene-attack jobs list --state succeeded --json"))["items"][-1]["id"]
+    own = {"http://10.0.0.7:8008": stack_url(stack)}
+    found = run("scene-attack submit - --url http://10.0.0.7:8008 < spec.json", **own).split()[0]
+    assert stack.ended(found)["state"] == "succeeded"
     of = {ID: found[:8]}
     assert found[:8] in run("scene-attack jobs list")
     run("scene-attack jobs list --state failed --all")
@@ -179,13 +195,13 @@ def campaigns(reader: Reader, stack: Stack) -> None:
     run = reader.run
     run("scene-attack campaign submit examples/campaign-small.json")
     assert "small" in run("scene-attack campaign list")
-    [found] = json.loads(reader.shell("scene-attack campaign list --json"))["items"]
-    until(ended(stack, found["id"]), "the campaign ends")
-    of = {ID: found["id"][:8]}
+    found = stack.client.get("/v1/campaigns").json()["items"][0]["id"]
+    until(lambda: stack.client.get(f"/v1/campaigns/{found}").json()["state"] == "finished", "the campaign ends")
+    of = {ID: found[:8]}
     assert "finished" in run(f"scene-attack campaign show {ID}", **of)
     run(f"scene-attack campaign table {ID}", **of)
     run(f"scene-attack campaign table {ID} --out out/table", **of)
-    reader.shell("rm -rf out/adversaries")
+    shutil.rmtree(reader.folder / "out/adversaries")
     run(f"scene-attack campaign export {ID} --maite out/adversaries", **of)
     long_one = stack.client.post("/v1/campaigns", json=campaign(ENDLESS | {"attack": long(5000)["attack"]})).json()
     of = {ID: long_one["id"][:8]}
@@ -194,30 +210,30 @@ def campaigns(reader: Reader, stack: Stack) -> None:
     assert "cancel" in run(f"scene-attack campaign cancel {ID}", **of)
 
 
-def assets_and_keys(reader: Reader) -> None:
+def assets(reader: Reader) -> None:
     run = reader.run
     name = run("scene-attack assets add chair.obj").strip()
     run("scene-attack assets add models.zip --mesh chair.obj --licence 'CC BY 4.0'")
     run("scene-attack assets add garden.hdr")
     assert "chair" in run("scene-attack assets uploads")
     run("scene-attack assets delete sha256:0f3c…", **{"sha256:0f3c…": name})
-    for example in [one for one in reader.left if "backup" in one]:
-        monday = str(reader.folder / "backups" / str(len(reader.left)))
-        own = {"/backups/monday": monday}
-        if "/srv" in example:
-            own["/srv/scene-attack"] = reader.environ["SCENE_ATTACK_DATA"]
-        run(example, **own)
+
+
+def keys_and_backups(reader: Reader) -> None:
+    """Of the reader's own data directory: a key would close the service to the tests that share it."""
+    run = reader.run
     run("scene-attack keys create alice")
     run("scene-attack keys create ci --owner alice --scope jobs:write --scope jobs:read --days 90")
     run("scene-attack keys create operator --scope admin")
-    first = json.loads(reader.shell("scene-attack keys list --json"))[0]["prefix"]
+    first = json.loads(reader.command("scene-attack keys list --json"))[0]["prefix"]
     assert first in run("scene-attack keys list")
     assert "revoked" in run("scene-attack keys revoke sa_1f0c9a7b3e", sa_1f0c9a7b3e=first)
+    for example in [one for one in reader.left if "backup" in one]:
+        own = {"/backups/monday": str(reader.folder / "backups" / str(len(reader.left)))}
+        if "/srv" in example:
+            own["/srv/scene-attack"] = reader.environ["SCENE_ATTACK_DATA"]
+        run(example, **own)
 
 
 def stack_url(stack: Stack) -> str:
     return str(stack.client.base_url)
-
-
-def ended(stack: Stack, campaign_id: str) -> Callable[[], bool]:
-    return lambda: stack.client.get(f"/v1/campaigns/{campaign_id}").json()["state"] == "finished"
