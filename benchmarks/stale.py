@@ -214,7 +214,6 @@ def network_print(name: str) -> str:
 
     from services.attacks.problem import generator
     from services.targets import registry
-    from services.targets.probe import with_question
 
     target = registry.load(name, torch.float64)
     images = torch.cat(
@@ -229,7 +228,7 @@ def network_print(name: str) -> str:
         ]
     ).permute(0, 2, 3, 1)
     with torch.no_grad():
-        scores = with_question(target, registry.card(name).example).logits(images)
+        scores = registry.with_question(target, registry.card(name).example).logits(images)
     return hashlib.sha256(rounded(scores).numpy().tobytes()).hexdigest()[:16]
 
 

@@ -48,6 +48,14 @@ class InvalidFields(InvalidRequest):
         return self._every
 
 
+class Unreadable(ValueError):
+    """A file, or a part of it, is not what it should be; the message says why, in words for whoever made the file."""
+
+
+DAMAGED = "it is damaged, or cut off"
+"""Message where a third-party parser stops, whose own message is about itself and not about the file."""
+
+
 class JobFailure(RuntimeError):
     """A valid job could not be finished. `kind` is a stable word, `detail` a sentence for a person.
 

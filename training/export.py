@@ -14,9 +14,9 @@ from torch import Tensor, nn
 from services import disk
 from services.attacks.outcome import wilson
 from services.scenes.library import Library
-from services.targets.networks.alexnet import AlexNet
-from services.targets.networks.resnet import ResNet
-from services.targets.weights_file import dequantize, load_into, quantize, to_bytes
+from services.targets.architectures import fill_by_name
+from services.targets.networks import AlexNet, ResNet
+from services.targets.weights_file import dequantize, quantize, to_bytes
 from training.batches import MEAN, SCALE
 from training.evaluation import RENDERERS, VIEWS, Images, answers, clustered_error, confusion, held_out
 from training.split import AT_MOST, HELD_OUT, MIN_FAMILIES, MIN_HELD_OUT, MIN_MODELS, Split
@@ -93,7 +93,7 @@ def write(
 def architecture(name: str, classes: int, state: dict[str, Tensor]) -> nn.Module:
     """Returns the network with these weights, in evaluation."""
     network: nn.Module = ARCHITECTURES[name](classes)
-    load_into(network, state)
+    fill_by_name(network, state)
     return network.eval()
 
 

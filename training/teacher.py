@@ -3,8 +3,8 @@
 import torch
 from torch import Tensor
 
-from services.targets.efficientnet_lite0 import MEAN, SCALE
-from services.targets.networks.efficientnet_lite import EfficientNetLite
+from services.targets.image_networks import LITE0_MEAN, LITE0_SCALE
+from services.targets.networks import EfficientNetLite
 
 SIZE = 224
 """Side of the images that the network was trained on, pixels."""
@@ -22,6 +22,6 @@ def load() -> EfficientNetLite:
 @torch.no_grad()
 def features_of(network: EfficientNetLite, images: Tensor) -> Tensor:
     """Returns pooled features [B, 1280] of images [B, 3, h, w] in [0,1]."""
-    mean, scale = (torch.tensor(values).view(1, 3, 1, 1) for values in (MEAN, SCALE))
+    mean, scale = (torch.tensor(values).view(1, 3, 1, 1) for values in (LITE0_MEAN, LITE0_SCALE))
     features: Tensor = network.head(network.blocks(network.stem((images - mean) / scale))).mean((2, 3))
     return features

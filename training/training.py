@@ -24,8 +24,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from services.errors import InvalidRequest
-from services.targets.networks.alexnet import CHANNELS, GRID, HIDDEN
-from services.targets.networks.resnet import ResNet
+from services.targets.networks import CHANNELS, GRID, HIDDEN, ResNet
 from training import checkpoints
 from training.batches import as_in_default_scene, augmented, distort, normalised, shade
 from training.views import Views

@@ -12,7 +12,6 @@ from services.rendering.color import from_bytes
 from services.scenes.library import Library
 from services.targets import registry
 from services.targets.info import TargetInfo
-from services.targets.probe import ANY_QUESTION
 from services.targets.protocol import Target
 
 BATCHES = (1, 8)
@@ -50,7 +49,7 @@ def check(name: str, mesh: str, library: Library, report: Callable[[str], None] 
     """
     report("loading the network and rendering a view")
     card = registry.card(name)
-    question = card.example or ANY_QUESTION if card.takes_question else None
+    question = card.example or registry.ANY_QUESTION if card.takes_question else None
     generated = card.vocabulary == "clevr"
     scene = {"generate": {}} if generated else {"scene": {"objects": [{"mesh": mesh}]}}
     asked = {"target": {"name": name, "question": question}, "attack": {"renderer": "pyrender"}}

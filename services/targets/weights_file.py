@@ -16,6 +16,7 @@ from safetensors.torch import save
 from torch import Tensor, nn
 
 from services.process import finite
+from services.targets.architectures import fill_by_name
 
 LARGEST = 127
 """Largest magnitude of a stored integer."""
@@ -74,17 +75,6 @@ def _floats(stored: Mapping[str, Tensor]) -> dict[str, Tensor]:
     return values
 
 
-def load_into(network: nn.Module, state: Mapping[str, Tensor]) -> None:
-    """Loads weights into a network of their names; the counts of batches of batch normalisation are not among them.
-
-    Raises ValueError, with the names, for weights that are missing or too many.
-    """
-    missing, unexpected = network.load_state_dict(state, strict=False)
-    missing = [name for name in missing if not name.endswith("num_batches_tracked")]
-    if missing or unexpected:
-        raise ValueError(f"weights that are missing: {missing}; that the network does not have: {unexpected}")
-
-
 def to_bytes(state: Mapping[str, Tensor]) -> bytes:
     """Returns the safetensors file of float32 weights."""
     return save(quantize(state))
@@ -99,7 +89,7 @@ def load_in_factors(network: nn.Module, path: Path) -> None:
     """Loads a file's weights into a network of their names. A matrix that is a product of two becomes two layers.
 
     The product is the same function with fewer numbers: AlexNet's two of rank 256 are 6 million instead of 54 million,
-    which every image has to read. Raises ValueError as `load_into` does, and for a weight that is not finite.
+    which every image has to read. Raises ValueError as `fill_by_name` does, and for a weight that is not finite.
     """
     state = _floats(read_tensors(path)[0])
     left, right = FACTORS
@@ -112,4 +102,4 @@ def load_in_factors(network: nn.Module, path: Path) -> None:
         )
         network.set_submodule(layer, two, strict=True)
         state |= {f"{layer}.0.weight": inner, f"{layer}.1.weight": outer, f"{layer}.1.bias": state.pop(f"{layer}.bias")}
-    load_into(network, state)
+    fill_by_name(network, state)

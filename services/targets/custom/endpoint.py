@@ -18,9 +18,8 @@ from PIL import Image
 from torch import Tensor
 from torch.nn import functional as F
 
-from services.errors import JobFailure
+from services.errors import JobFailure, Unreadable
 from services.targets.custom.card import AllowList
-from services.targets.custom.graph import Unreadable
 
 MOST_IMAGES = 32
 """Maximum number of images of a request."""

@@ -1,27 +1,99 @@
-"""Loads a network that a user brings: by its card and the files in its folder, or from the caller of the same process,
-who passes a torch module or a function.
+"""Loads a network that a user brings: by its card and the files in its folder, by a factory that the operator allows,
+or from the caller of the same process, who passes a torch module or a function.
+
+A factory returns a torch module, a MAITE image classifier or a target. MAITE
+(https://github.com/mit-ll-ai-technology/maite) is a protocol, not a base class, so it need not be installed: a model
+takes a sequence of images [C, H, W], returns scores or probabilities [K] for each, and has `metadata`.
 """
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from copy import deepcopy
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor, nn
 
-from services.errors import InvalidRequest
+from services.errors import InvalidRequest, Unreadable, out_of_memory, summary
 from services.targets.architectures import ARCHITECTURES, Architecture
 from services.targets.classifier import Classifier
-from services.targets.custom import exported, factory
+from services.targets.custom import exported
 from services.targets.custom.card import AllowList, Card, Preprocessing
 from services.targets.custom.endpoint import Endpoint
-from services.targets.custom.factory import digest
-from services.targets.custom.graph import Unreadable
 from services.targets.info import TargetInfo, Vocabulary
 from services.targets.protocol import Target
 from services.targets.weights_file import read_tensors
+
+
+def make(factory: str, allowed: AllowList) -> Any:
+    """Returns what the factory returns. Raises Unreadable if it is not allowed, does not exist or fails."""
+    reason = allowed.factory_refusal(factory)
+    if reason is not None:
+        raise Unreadable(reason)
+    module, _, function = factory.partition(":")
+    try:
+        return getattr(import_module(module), function)()
+    except (Exception, SystemExit) as error:
+        if out_of_memory(error):
+            raise
+        raise Unreadable(f"the factory {factory} fails: {summary(error)}") from error
+
+
+class MaiteNetwork(nn.Module):
+    """A MAITE image classifier as a torch module: inputs [B, C, H, W] to [B, K].
+
+    The model gets a list of float32 CPU tensors [C, H, W], which are arrays to numpy too, and may return any arrays.
+    """
+
+    def __init__(self, model: Callable[[Sequence[Tensor]], Sequence[Any]], size: tuple[int, int]) -> None:
+        super().__init__()
+        self._model = model
+        self.scores_only = self._trouble(size)
+        """The reason for which scores have no gradients; None if they have."""
+
+    def _trouble(self, size: tuple[int, int]) -> str | None:
+        image = torch.full((1, 3, *size), 0.5, requires_grad=True)
+        try:
+            with torch.enable_grad():
+                scores = self._answers(image)
+        except Exception as error:  # numpy refuses tensors that need gradients, among others
+            return f"it fails on images that need gradients: {summary(error)}"
+        return None if scores.requires_grad else "what it returns is not computed by torch from the images"
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Maps inputs [B, C, H, W] to [B, K]."""
+        images = x.to("cpu", torch.float32)
+        return self._answers(images if self.scores_only is None else images.detach()).to(x.device)
+
+    def _answers(self, images: Tensor) -> Tensor:
+        return torch.stack([torch.as_tensor(scores, dtype=torch.float32) for scores in self._model(list(images))])
+
+
+def is_maite(model: object) -> bool:
+    """Whether an object is a MAITE model: it can be called, and has metadata with an id."""
+    metadata = getattr(model, "metadata", None)
+    return callable(model) and isinstance(metadata, dict) and "id" in metadata
+
+
+def check_labels(model: Any, labels: Sequence[str]) -> None:
+    """Raises Unreadable if a MAITE model's own labels (`index2label`) are not those of the card."""
+    own = model.metadata.get("index2label")
+    if own is not None and [own.get(index) for index in range(len(own))] != list(labels):
+        raise Unreadable(f"its metadata.index2label has {len(own)} labels, which are not the {len(labels)} of the card")
+
+
+def digest(model: Any) -> str:
+    """Returns the SHA-256 (hex) of a module's weights, or of the modules among an object's attributes and its id."""
+    total = hashlib.sha256(str(getattr(model, "metadata", "")).encode())
+    parts = [model] if isinstance(model, nn.Module) else [value for _, value in sorted(vars(model).items())]
+    for part in parts:
+        if isinstance(part, nn.Module):
+            for name, value in part.state_dict().items():
+                total.update(f"{name} {value.dtype} {list(value.shape)}".encode())
+                total.update(value.detach().cpu().contiguous().flatten().view(torch.uint8).numpy().tobytes())
+    return total.hexdigest()
 
 
 class Bgr(nn.Module):
@@ -86,49 +158,43 @@ def load(
 
     Raises InvalidRequest("target.name"), which says why and what is missing, if it cannot be loaded.
     """
+    size, probabilities = card.preprocessing.input_size, card.output == "probabilities"
     try:
-        return _load(name, file, card, labels, card_sha256, allowed, dtype)
+        if card.endpoint is not None:
+            return Endpoint(name, card.endpoint, labels, size, probabilities, card_sha256, allowed)
+        if file is not None:
+            with file.open("rb") as opened:
+                weights_sha256 = hashlib.file_digest(opened, "sha256").hexdigest()
+            network, scores_only = _network(file, card, len(labels))
+        else:
+            assert card.factory is not None
+            model = make(card.factory, allowed)
+            if not (isinstance(model, nn.Module) or is_maite(model)):
+                return _target(model)
+            weights_sha256 = digest(model)
+            network, scores_only = _module(model, labels, size)
+        of = (name, network, labels, card.preprocessing, weights_sha256, dtype)
+        return classifier(*of, probabilities=probabilities, scores_only=scores_only)
     except (Unreadable, OSError) as error:
         what = card.factory or card.endpoint if file is None else file.name
         raise InvalidRequest("target.name", f"target {name!r} cannot be loaded: {what}: {error}") from error
 
 
-def _load(
-    name: str,
-    file: Path | None,
-    card: Card,
-    labels: tuple[str, ...],
-    card_sha256: str,
-    allowed: AllowList,
-    dtype: torch.dtype,
-) -> Target:
-    size, probabilities = card.preprocessing.input_size, card.output == "probabilities"
-    if card.endpoint is not None:
-        return Endpoint(name, card.endpoint, labels, size, probabilities, card_sha256, allowed)
-    scores_only: str | None = None
-    if file is None:
-        assert card.factory is not None
-        model = factory.make(card.factory, allowed)
-        digest = factory.digest(model)
-        if factory.is_maite(model):
-            factory.check_labels(model, labels)
-            maite = factory.MaiteNetwork(model, size)
-            network: nn.Module = maite
-            scores_only = maite.scores_only
-        elif isinstance(model, nn.Module):
-            network = model
-        elif hasattr(model, "logits") and hasattr(model, "labels"):
-            target: Target = model
-            return target
-        else:
-            kind = type(model).__name__
-            raise Unreadable(f"it returned a {kind}, which is no torch module, MAITE image classifier or target")
-    else:
-        with file.open("rb") as opened:
-            digest = hashlib.file_digest(opened, "sha256").hexdigest()
-        network, scores_only = _network(file, card, len(labels))
-    of = (name, network, labels, card.preprocessing, digest, dtype)
-    return classifier(*of, probabilities=probabilities, scores_only=scores_only)
+def _target(model: Any) -> Target:
+    if not (hasattr(model, "logits") and hasattr(model, "labels")):
+        kind = type(model).__name__
+        raise Unreadable(f"it returned a {kind}, which is no torch module, MAITE image classifier or target")
+    target: Target = model
+    return target
+
+
+def _module(model: Any, labels: tuple[str, ...], size: tuple[int, int]) -> tuple[nn.Module, str | None]:
+    """The network that a factory returned, and the reason for which it has no gradients."""
+    if not is_maite(model):
+        return model, None
+    check_labels(model, labels)
+    network = MaiteNetwork(model, size)
+    return network, network.scores_only
 
 
 def _network(file: Path, card: Card, classes: int) -> tuple[nn.Module, str | None]:

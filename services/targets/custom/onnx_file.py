@@ -9,7 +9,8 @@ import torch
 from google.protobuf.message import DecodeError, Message
 from torch import Tensor, nn
 
-from services.targets.custom.graph import FixedBatch, Unreadable, check_input
+from services.errors import Unreadable
+from services.targets.custom.exported import FixedBatch, check_input
 
 SCORES_ONLY = "an ONNX file gives scores only; for gradients save the network by torch.export.save, as model.pt2"
 _ERRORS_ONLY = 3

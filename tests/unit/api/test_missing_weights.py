@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from client.cli import app
 from services.process import options
-from services.targets.imagenet_networks import ALEXNET
+from services.targets.image_networks import ALEXNET
 from services.targets.info import TARGETS, Published, register
 from services.targets.labels import imagenet_labels
 

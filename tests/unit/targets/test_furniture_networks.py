@@ -10,17 +10,17 @@ import torch
 
 from services.rendering.factory import build
 from services.scenes.description import Scene, SceneObject
-from services.scenes.furniture_kinds import PREFIX, kind_of
+from services.scenes.furniture import PREFIX, kind_of
 from services.scenes.library import Library
 from services.scenes.resolve import resolve
 from services.settings import Settings
 from services.targets import registry
+from services.targets.architectures import fill_by_name
 from services.targets.classifier import Classifier
-from services.targets.furniture_networks import facts
+from services.targets.image_networks import facts
 from services.targets.info import available
-from services.targets.networks.alexnet import AlexNet
-from services.targets.networks.resnet import ResNet
-from services.targets.weights_file import load_into, read
+from services.targets.networks import AlexNet, ResNet
+from services.targets.weights_file import read
 from training.split import committed
 
 WEIGHTS = Path(str(files("services.targets").joinpath("weights")))
@@ -89,7 +89,7 @@ def test_factors_in_two_layers_are_the_same_network(
     target = registry.load(name)
     assert isinstance(target, Classifier)
     network = kind(14)
-    load_into(network, read(WEIGHTS / f"{name}.safetensors"))
+    fill_by_name(network, read(WEIGHTS / f"{name}.safetensors"))
     whole = replace(target, network=network)
     found = []
     for one in (target, whole):

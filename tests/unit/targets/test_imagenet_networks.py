@@ -11,8 +11,7 @@ from torch import nn
 
 from services.errors import InvalidRequest
 from services.process import replaced
-from services.targets import registry
-from services.targets.imagenet_networks import ALEXNET, RESNET34, load_published
+from services.targets.image_networks import ALEXNET, RESNET34, load_published
 from services.targets.labels import imagenet_labels
 
 
@@ -38,7 +37,7 @@ def test_published_weights_are_loaded_and_normalised_as_torchvision_does(server,
     buffer = io.BytesIO()
     torch.save(network.state_dict(), buffer)
     card = _card(server, buffer.getvalue())
-    target = load_published(card, _network(), torch.float32)
+    target = load_published(card, lambda _: _network(), torch.float32)
     assert target.labels == imagenet_labels()
     assert target.weights_sha256 == hashlib.sha256(buffer.getvalue()).hexdigest()
     image = torch.rand(1, 224, 224, 3)
@@ -46,7 +45,7 @@ def test_published_weights_are_loaded_and_normalised_as_torchvision_does(server,
     with torch.no_grad():
         wanted = network(((image - mean) / scale).permute(0, 3, 1, 2))
     assert torch.allclose(target.logits(image), wanted, atol=1e-5)
-    load_published(card, _network(), torch.float32)
+    load_published(card, lambda _: _network(), torch.float32)
     assert server.starts == [0]
     assert (tmp_path / "weights" / card.source.rpartition("/")[2]).exists()
 
@@ -64,18 +63,14 @@ def test_a_file_that_runs_code_is_refused_and_does_not_run(server, tmp_path):
     trace = tmp_path / "ran"
     card = _card(server, pickle.dumps(_Runs(trace), protocol=2))
     with pytest.raises(pickle.UnpicklingError):
-        load_published(card, _network(), torch.float32)
+        load_published(card, lambda _: _network(), torch.float32)
     assert not trace.exists()
 
 
 @pytest.mark.usefixtures("_cache")
-def test_without_a_network_the_request_is_refused_with_the_place_of_the_file(monkeypatch, tmp_path):
-    monkeypatch.setattr(
-        "services.targets.imagenet_networks.ALEXNET",
-        ALEXNET.model_copy(update={"source": f"http://127.0.0.1:9/{ALEXNET.source.rpartition('/')[2]}"}),
-    )
-    registry.load.cache_clear()
+def test_without_a_network_the_request_is_refused_with_the_place_of_the_file(tmp_path):
+    nowhere = ALEXNET.model_copy(update={"source": f"http://127.0.0.1:9/{ALEXNET.source.rpartition('/')[2]}"})
     with pytest.raises(InvalidRequest) as caught:
-        registry.load("alexnet")
+        load_published(nowhere, lambda _: pytest.fail("it is built"), torch.float32)
     assert caught.value.field == "target.name"
     assert str(tmp_path / "weights" / "alexnet-owt-7be5be79.pth") in caught.value.detail

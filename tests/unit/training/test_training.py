@@ -4,7 +4,8 @@ import pytest
 import torch
 
 from services.errors import InvalidRequest
-from services.targets.weights_file import dequantize, load_into, quantize
+from services.targets.architectures import fill_by_name
+from services.targets.weights_file import dequantize, quantize
 from training.batches import shade
 from training.data import gather
 from training.export import ARCHITECTURES
@@ -143,9 +144,9 @@ def test_quantised_weights_are_within_half_a_step_and_multiply_out():
     assert 0 < float(error) < 0.01
     assert stored["classifier.1.weight.left"].dtype == torch.int8
     network = ARCHITECTURES["alexnet"](5)
-    load_into(network, found)
+    fill_by_name(network, found)
     with pytest.raises(ValueError, match=r"classifier\.6\.bias"):
-        load_into(network, {name: value for name, value in found.items() if name != "classifier.6.bias"})
+        fill_by_name(network, {name: value for name, value in found.items() if name != "classifier.6.bias"})
 
 
 def test_hints_are_uncorrelated_and_of_unit_variance(library, tmp_path):

@@ -14,14 +14,13 @@ import pytest
 import torch
 from PIL import Image
 
-from services.errors import InvalidRequest, JobFailure
+from services.errors import InvalidRequest, JobFailure, Unreadable
 from services.pipeline.execute import execute
 from services.pipeline.prepare import prepare
 from services.pipeline.spec import parse
 from services.targets import registry
 from services.targets.custom.card import AllowList
 from services.targets.custom.endpoint import MOST_IMAGES, Endpoint
-from services.targets.custom.graph import Unreadable
 from tests.unit.jobs.small import LIBRARY
 from tests.unit.targets.custom.conftest import Scan
 from tests.unit.targets.custom.small_network import folder

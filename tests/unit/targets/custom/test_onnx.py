@@ -10,8 +10,8 @@ import pytest
 import torch
 from onnx import TensorProto, helper, numpy_helper
 
+from services.errors import Unreadable
 from services.targets.custom import onnx_file
-from services.targets.custom.graph import Unreadable
 
 OPSET = 20
 RANDOM = np.random.default_rng(1)

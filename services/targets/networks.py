@@ -1,7 +1,9 @@
-"""EfficientNet-Lite (Tan & Le 2019, the Lite variants of 2020) as a plain stack of convolutions.
+"""The architectures of published and of trained networks, as plain torch modules.
 
-Batch normalisation is folded into the convolutions when the weights are loaded: in evaluation it is an affine map, and
-folding it (in float64) saves a third of the memory traffic.
+AlexNet is that of one column (Krizhevsky 2014), ResNet-34 that of He et al. 2016; both have the names and shapes of
+torchvision's state dicts. EfficientNet-Lite (Tan & Le 2019, the Lite variants of 2020) is a plain stack of
+convolutions: batch normalisation is folded into them when the weights are loaded. In evaluation it is an affine map,
+and folding it (in float64) saves a third of the memory traffic.
 """
 
 from collections.abc import Mapping
@@ -10,6 +12,110 @@ from typing import Any
 
 from torch import Tensor, nn
 from torch.nn import functional as F
+
+HIDDEN = 4096
+"""Features of the two hidden layers."""
+CHANNELS = 256
+"""Channels of the last convolution."""
+GRID = (6, 6)
+"""Rows and columns to which the last feature maps are averaged (or repeated), so that images may have any size."""
+
+
+class AlexNet(nn.Module):
+    """The network: normalised images [B, 3, h, w], h and w at least 63 pixels, to logits [B, classes]."""
+
+    def __init__(self, classes: int = 1000, dropout: float = 0.5):
+        super().__init__()
+        self.features = nn.Sequential(
+            nn.Conv2d(3, 64, 11, stride=4, padding=2),
+            nn.ReLU(inplace=True),
+            nn.MaxPool2d(3, 2),
+            nn.Conv2d(64, 192, 5, padding=2),
+            nn.ReLU(inplace=True),
+            nn.MaxPool2d(3, 2),
+            nn.Conv2d(192, 384, 3, padding=1),
+            nn.ReLU(inplace=True),
+            nn.Conv2d(384, CHANNELS, 3, padding=1),
+            nn.ReLU(inplace=True),
+            nn.Conv2d(CHANNELS, CHANNELS, 3, padding=1),
+            nn.ReLU(inplace=True),
+            nn.MaxPool2d(3, 2),
+        )
+        self.avgpool = nn.AdaptiveAvgPool2d(GRID)
+        self.classifier = nn.Sequential(
+            nn.Dropout(dropout),
+            nn.Linear(CHANNELS * GRID[0] * GRID[1], HIDDEN),
+            nn.ReLU(inplace=True),
+            nn.Dropout(dropout),
+            nn.Linear(HIDDEN, HIDDEN),
+            nn.ReLU(inplace=True),
+            nn.Linear(HIDDEN, classes),
+        )
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Maps normalised images [B, 3, h, w] to logits [B, classes]."""
+        logits: Tensor = self.classifier(self.avgpool(self.features(x)).flatten(1))
+        return logits
+
+
+RESNET34 = (3, 4, 6, 3)
+"""Blocks of the four stages of ResNet-34."""
+
+
+class BasicBlock(nn.Module):
+    """Two 3×3 convolutions beside a shortcut; the shortcut is a 1×1 convolution where the shapes differ."""
+
+    def __init__(self, inputs: int, outputs: int, stride: int):
+        super().__init__()
+        self.conv1 = nn.Conv2d(inputs, outputs, 3, stride, 1, bias=False)
+        self.bn1 = nn.BatchNorm2d(outputs)
+        self.relu = nn.ReLU(inplace=True)
+        self.conv2 = nn.Conv2d(outputs, outputs, 3, 1, 1, bias=False)
+        self.bn2 = nn.BatchNorm2d(outputs)
+        self.downsample: nn.Sequential | None = None
+        if stride != 1 or inputs != outputs:
+            shortcut = nn.Conv2d(inputs, outputs, 1, stride, bias=False)
+            self.downsample = nn.Sequential(shortcut, nn.BatchNorm2d(outputs))
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Maps [B, inputs, h, w] to [B, outputs, h / stride, w / stride]."""
+        shortcut = x if self.downsample is None else self.downsample(x)
+        y: Tensor = self.bn2(self.conv2(self.relu(self.bn1(self.conv1(x)))))
+        return self.relu(y + shortcut)  # type: ignore[no-any-return]
+
+
+class ResNet(nn.Module):
+    """The network: normalised images [B, 3, h, w] to logits [B, classes]."""
+
+    def __init__(self, classes: int = 1000, stages: tuple[int, ...] = RESNET34):
+        super().__init__()
+        self.conv1 = nn.Conv2d(3, 64, 7, 2, 3, bias=False)
+        self.bn1 = nn.BatchNorm2d(64)
+        self.relu = nn.ReLU(inplace=True)
+        self.maxpool = nn.MaxPool2d(3, 2, 1)
+        self.layer1 = _stage(64, 64, stages[0], 1)
+        self.layer2 = _stage(64, 128, stages[1], 2)
+        self.layer3 = _stage(128, 256, stages[2], 2)
+        self.layer4 = _stage(256, 512, stages[3], 2)
+        self.avgpool = nn.AdaptiveAvgPool2d((1, 1))
+        self.fc = nn.Linear(512, classes)
+
+    def pooled(self, x: Tensor) -> Tensor:
+        """Maps normalised images [B, 3, h, w] to the features [B, 512] that the last layer classifies."""
+        x = self.maxpool(self.relu(self.bn1(self.conv1(x))))
+        x = self.layer4(self.layer3(self.layer2(self.layer1(x))))
+        return self.avgpool(x).flatten(1)  # type: ignore[no-any-return]
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Maps normalised images [B, 3, h, w] to logits [B, classes]."""
+        logits: Tensor = self.fc(self.pooled(x))
+        return logits
+
+
+def _stage(inputs: int, outputs: int, blocks: int, stride: int) -> nn.Sequential:
+    rest = (BasicBlock(outputs, outputs, 1) for _ in range(blocks - 1))
+    return nn.Sequential(BasicBlock(inputs, outputs, stride), *rest)
+
 
 EPSILON = 1e-3
 """Epsilon of the batch normalisation."""

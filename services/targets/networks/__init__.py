@@ -1,1 +1,0 @@
-"""The architectures of published and of trained networks, as plain torch modules."""
