@@ -28,9 +28,9 @@ from services.pipeline.result import Result
 from services.pipeline.spec import JobSpec
 from services.pipeline.stored import PERTURBATION
 from services.questions.executor import kind_asked
+from services.questions.families import FAMILIES
 from services.questions.generator import QuestionRecord
 from services.questions.program import Program
-from services.questions.templates.families import FAMILIES
 from services.scenes.clevr.description import record_after
 from services.scenes.clevr.records import SceneRecord
 from training.iep.examples import ObjectTruth

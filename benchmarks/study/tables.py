@@ -14,7 +14,7 @@ from benchmarks.study.record import Asked, Job, Record
 from services.accuracy import tables
 from services.analysis.campaign_table import Cell, Rate, share_at
 from services.questions.executor import KINDS, kind_of
-from services.questions.templates.families import Kind
+from services.questions.families import Kind
 
 TITLES = {
     "alexnet-furniture": "AlexNet",

@@ -30,8 +30,8 @@ from services.errors import InvalidFields, InvalidRequest
 from services.pipeline.field_errors import invalid_fields
 from services.pipeline.question_record import MOST_TOGETHER
 from services.pipeline.spec import AnyAttack, AnyTolerance, JobSpec, TargetChoice, check_labels, with_method
+from services.questions.families import FAMILIES, Kind
 from services.questions.generator import QuestionGenerator, QuestionRecord
-from services.questions.templates.families import FAMILIES, Kind
 from services.rendering.plan import DEFAULT_TOLERANCE
 from services.scenes import furniture
 from services.scenes.clevr.description import describe

@@ -11,7 +11,7 @@ from typing import Any
 
 from services.errors import InvalidRequest
 from services.questions.program import Program
-from services.questions.templates.wording import RELATIONS, SYNONYMS
+from services.questions.wording import RELATIONS, SYNONYMS
 from services.scenes.clevr.records import ATTRIBUTES
 from services.text import did_you_mean
 

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from services.questions.executor import Facts, Value, execute
+from services.questions.families import FAMILIES
 from services.questions.generator import QuestionRecord
 from services.questions.program import Program, Type
-from services.questions.templates.families import FAMILIES
 from services.scenes.clevr.records import ATTRIBUTES, ObjectRecord
 from services.targets.iep.engine import GRID, STRIDE
 

@@ -15,7 +15,7 @@ import torch
 
 from services import disk
 from services.errors import InvalidRequest
-from services.questions.templates.families import FAMILIES
+from services.questions.families import FAMILIES
 from services.scenes.library import Library
 from services.targets.iep.checkpoint import HOW_TO_GET_WEIGHTS, Checkpoint, load, to_bytes
 from training.iep import checking

@@ -9,8 +9,8 @@ import pytest
 
 from services.pipeline.spec import parse
 from services.questions.executor import ANSWERS
+from services.questions.families import FAMILIES
 from services.questions.program import FUNCTIONS
-from services.questions.templates.families import FAMILIES
 from services.questions.text import WORDS
 from services.scenes.clevr.description import scene_of
 

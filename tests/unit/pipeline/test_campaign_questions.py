@@ -11,7 +11,7 @@ from services.pipeline.campaign_run import run_campaign
 from services.pipeline.campaign_spec import CampaignSpec, parse
 from services.pipeline.check import check_campaign_meshes, check_size, most_jobs, placed, samples
 from services.questions.executor import Facts, answer
-from services.questions.templates.families import FAMILIES
+from services.questions.families import FAMILIES
 from services.scenes.clevr.generator import generate
 from tests.unit.jobs.small import LIBRARY
 from tests.unit.pipeline.question_campaign import (

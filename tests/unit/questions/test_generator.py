@@ -2,8 +2,8 @@
 
 from collections import Counter, defaultdict
 
+from services.questions.families import FAMILIES
 from services.questions.generator import QuestionGenerator
-from services.questions.templates.families import FAMILIES
 from services.scenes.clevr.generator import generate
 
 SCENES = [generate(21, k) for k in range(30)]

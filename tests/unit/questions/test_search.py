@@ -6,10 +6,9 @@ from random import Random
 import pytest
 
 from services.questions.executor import Facts, execute
-from services.questions.generator import QuestionRecord
+from services.questions.families import FAMILIES
+from services.questions.generator import QuestionRecord, build, instances
 from services.questions.program import Program
-from services.questions.templates.families import FAMILIES
-from services.questions.templates.search import build, instances
 from services.scenes.clevr.generator import generate
 
 pytestmark = pytest.mark.slow

@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from services.questions.templates.families import FAMILIES
+from services.questions.families import FAMILIES
 from services.questions.text import WORDS, encoded, tokens
 
 pytestmark = pytest.mark.slow

@@ -11,7 +11,7 @@ import re
 from collections.abc import Callable, Sequence
 from random import Random
 
-from services.questions.templates.families import Family, Filled
+from services.questions.families import Family, Filled
 
 THINGS = ("thing", "object")
 SYNONYMS = {
