@@ -132,7 +132,7 @@ Say = Callable[[str], None]
 
 def make(library: Library, cache: Path, seed: int, command: str, say: Say) -> Split:
     """Returns the split for a seed. `say` gets a line for each step; drawn views are kept in `cache`."""
-    catalogue = read_catalogue(cache / "furniture", cache / "meshes" / "catalogue.json")
+    catalogue = read_catalogue(cache / "furniture")
     many = {kind: [name.removeprefix(PREFIX) for name in names] for kind, names in kinds().items()}
     many = {kind: slugs for kind, slugs in many.items() if len(slugs) >= MIN_MODELS}
 

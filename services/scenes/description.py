@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from math import pi
 from typing import Annotated, Any, Literal
 
-from pydantic import ConfigDict, Field, ValidationInfo, field_validator
+from pydantic import AfterValidator, ConfigDict, Field, ValidationInfo, field_validator
 
 from services.strict import Strict, reference
 
@@ -134,6 +134,15 @@ class Floor(Model):
     )
 
 
+def _direction(value: tuple[float, float, float]) -> tuple[float, float, float]:
+    if max(map(abs, value)) < MIN_LENGTH:
+        raise ValueError(f"is too short for a direction; one of its coordinates must be {MIN_LENGTH:g} or more in size")
+    return value
+
+
+Direction = Annotated[Vector, AfterValidator(_direction)]
+
+
 class PointLight(Model):
     """A point light of the pyrender renderer; its light falls off with the square of the distance."""
 
@@ -149,14 +158,9 @@ class DirectionalLight(Model):
     energy: Annotated[float, Field(ge=0, le=10_000, allow_inf_nan=False)] = Field(
         3.0, description="irradiance of a surface that faces it; 3 is about that of the default point light"
     )
-    direction: Vector = Field(
+    direction: Direction = Field(
         (-1.2, -2.0, -1.5), description="direction in which its light travels; any length above 0, which has no effect"
     )
-
-    @field_validator("direction")
-    @classmethod
-    def _has_length(cls, value: tuple[float, float, float]) -> Any:
-        return _direction(value)
 
 
 class SpotLight(Model):
@@ -166,7 +170,7 @@ class SpotLight(Model):
         30.0, description="radiant intensity within the inner angle; it falls off with the square of the distance"
     )
     position: Vector = Field((1.2, 2.0, 1.5), description="scene units")
-    direction: Vector = Field(
+    direction: Direction = Field(
         (-1.2, -2.0, -1.5), description="axis of its cone, pointing away from the light; any length above 0"
     )
     inner_angle: Annotated[float, Field(ge=0, le=pi / 2, allow_inf_nan=False)] = Field(
@@ -178,11 +182,6 @@ class SpotLight(Model):
         validate_default=True,  # against an inner angle that was given
     )
 
-    @field_validator("direction")
-    @classmethod
-    def _has_length(cls, value: tuple[float, float, float]) -> Any:
-        return _direction(value)
-
     @field_validator("outer_angle")
     @classmethod
     def _is_outside(cls, value: float, info: ValidationInfo) -> float:
@@ -190,12 +189,6 @@ class SpotLight(Model):
         if value <= inner:
             raise ValueError(f"it must be above inner_angle, which is {inner:g}")
         return value
-
-
-def _direction(value: tuple[float, float, float]) -> tuple[float, float, float]:
-    if max(map(abs, value)) < MIN_LENGTH:
-        raise ValueError(f"is too short for a direction; one of its coordinates must be {MIN_LENGTH:g} or more in size")
-    return value
 
 
 class Environment(Model):

@@ -32,10 +32,9 @@ import numpy as np
 import OpenEXR
 from numpy.typing import NDArray
 
-from services.errors import InvalidRequest, JobFailure, shortened
+from services.errors import DAMAGED, InvalidRequest, JobFailure, Unreadable, shortened
 from services.scenes.description import Lights
 from services.scenes.mesh import Doubles, Floats
-from services.scenes.unreadable import DAMAGED, Unreadable
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,16 +57,11 @@ def read_exr(path: Path, credit: str | None) -> EnvironmentMap:
     Raises JobFailure("asset-missing") if the file cannot be read or has no colours, and the errors of `radiance_of`.
     """
     try:
-        digest = hashlib.sha256(path.read_bytes()).hexdigest()
-        with OpenEXR.File(str(path)) as file:
-            channels = file.channels()
-            if "RGBA" in channels or "RGB" in channels:
-                pixels = np.asarray(channels["RGBA" if "RGBA" in channels else "RGB"].pixels)[..., :3]
-            else:
-                pixels = np.stack([np.asarray(channels[name].pixels) for name in "RGB"], axis=-1)
-    except (OSError, KeyError, RuntimeError, ValueError) as error:
+        data = path.read_bytes()
+        pixels = _read_exr(data)
+    except (OSError, RuntimeError, ValueError) as error:
         raise JobFailure("asset-missing", f"cannot read the environment map {path.name}: {error}") from error
-    return EnvironmentMap(name=path.stem, radiance=radiance_of(pixels), sha256=digest, credit=credit)
+    return EnvironmentMap(path.stem, radiance_of(pixels), hashlib.sha256(data).hexdigest(), credit)
 
 
 def uniform() -> EnvironmentMap:

@@ -24,9 +24,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
+from pydantic import BaseModel, ConfigDict
 
-from services import disk
 from services.errors import JobFailure
 from services.scenes.mesh import Mesh, Part
 from services.scenes.store import load_parts, mesh_path, save_parts
@@ -85,7 +84,6 @@ def _unescape(text: str) -> str:
 
 CATALOGUE = "PluginFurnitureCatalog.properties"
 IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
-INDEX_VERSION = 2
 
 
 class Model(BaseModel):
@@ -117,23 +115,9 @@ class Model(BaseModel):
         return f"“{self.title}” by {self.creator}, {self.licence}, from the Sweet Home 3D library {self.library}"
 
 
-def read_catalogue(directory: Path, index: Path) -> dict[str, Model]:
-    """Returns all models of all `*.sh3f` archives in `directory` by slug, in catalogue order; empty if there are none.
-
-    `index` is a cache file of the result, used while the archives have the same names, sizes and modification times.
-    """
-    archives = sorted(directory.glob("*.sh3f"))
-    stamp = [INDEX_VERSION, *([path.name, path.stat().st_size, path.stat().st_mtime_ns] for path in archives)]
-    try:
-        kept = json.loads(index.read_bytes())
-        if kept["stamp"] == stamp:
-            models = TypeAdapter(list[Model]).validate_python(kept["models"])
-            return {model.slug: model for model in models}
-    except (OSError, ValueError, KeyError, TypeError, ValidationError):
-        pass
-    models = with_slugs([model for path in archives for model in read_archive(path)])
-    text = json.dumps({"stamp": stamp, "models": [model.model_dump(mode="json") for model in models]})
-    disk.write(index, text.encode())
+def read_catalogue(directory: Path) -> dict[str, Model]:
+    """Returns the models of all `*.sh3f` archives in `directory` by slug, in catalogue order; empty without them."""
+    models = with_slugs([model for path in sorted(directory.glob("*.sh3f")) for model in read_archive(path)])
     return {model.slug: model for model in models}
 
 

@@ -12,9 +12,8 @@ from io import BytesIO
 import numpy as np
 from PIL import Image
 
-from services.errors import InvalidRequest
+from services.errors import InvalidRequest, Unreadable
 from services.scenes.mesh import Bytes, Doubles
-from services.scenes.unreadable import Unreadable
 
 FORMATS = "PNG, JPEG or WebP"
 MAX_PIXELS = 2**26

@@ -42,21 +42,17 @@ class Entry(BaseModel):
 
 FETCHED = ("city", "courtyard", "forest", "interior", "night", "studio", "sunrise", "sunset")
 """The environment maps that scripts/setup fetches."""
-UNIFORM = Entry(
-    name="uniform",
-    title="Uniform",
-    kind="environment",
-    category="environment",
-    creator="scene-attack",
-    licence="CC0 1.0",
-    credit=None,
-)
 
 
-def has_words(entry: Entry, words: Iterable[str]) -> bool:
-    """Whether every word is part of the name, title, category or creator; the words are in lower case."""
-    text = f"{entry.name} {entry.title} {entry.category} {entry.creator}".lower()
-    return all(word in text for word in words)
+def own_entry(name: str, kind: Literal["primitive", "environment"]) -> Entry:
+    """The entry of an asset that the project makes itself: a primitive, or the uniform map."""
+    title = name.rpartition("/")[2].capitalize()
+    return Entry(
+        name=name, title=title, kind=kind, category=kind, creator="scene-attack", licence="CC0 1.0", credit=None
+    )
+
+
+UNIFORM = own_entry("uniform", "environment")
 
 
 def furniture_entry(model: Model) -> Entry:
@@ -70,19 +66,6 @@ def furniture_entry(model: Model) -> Entry:
         licence=model.licence,
         credit=model.credit,
         size=model.size,
-    )
-
-
-def solid_entry(name: str) -> Entry:
-    """The entry of a primitive."""
-    return Entry(
-        name=f"primitive/{name}",
-        title=name.capitalize(),
-        kind="primitive",
-        category="primitive",
-        creator="scene-attack",
-        licence="CC0 1.0",
-        credit=None,
     )
 
 
@@ -185,8 +168,8 @@ class Library:
         The map `lights`, which is made of a scene's own lights, is known. An upload for whose name `may_use` is false
         is not.
         """
-        if upload := _UPLOAD.fullmatch(name):
-            record = self._uploads.record(upload[1]) if may_use(name) else None
+        if _UPLOAD.fullmatch(name):
+            record = self._record(name) if may_use(name) else None
             if record is None or not is_map(record.kind):
                 raise InvalidRequest("environment", f"there is no environment map {name!r}")
         elif name != environment.LIGHTS and not (known := {item.name: item for item in self.environments()}).get(name):
@@ -195,23 +178,19 @@ class Library:
 
     def has_upload(self, name: str) -> bool:
         """Whether there is an uploaded mesh of that name, `sha256:<hex>`."""
-        upload = _UPLOAD.fullmatch(name)
-        return upload is not None and self._uploads.record(upload[1]) is not None
+        return self._record(name) is not None
 
     def titles(self, names: Iterable[str]) -> dict[str, str]:
         """The titles that people gave uploads, by name; `names` may have others, which are left out."""
-        records = {name: self._uploads.record(match[1]) for name in names if (match := _UPLOAD.fullmatch(name))}
-        return {
-            name: record.about.title for name, record in records.items() if record is not None and record.about.title
-        }
+        records = ((name, self._record(name)) for name in names)
+        return {name: record.about.title for name, record in records if record is not None and record.about.title}
 
     def upload(self, name: str) -> Bundle | None:
         """Returns an upload as it was sent, a mesh or a map; None for a name that is no upload's.
 
         Raises JobFailure("asset-missing") if its files are missing or changed.
         """
-        upload = _UPLOAD.fullmatch(name)
-        record = None if upload is None else self._uploads.record(upload[1])
+        record = self._record(name)
         return None if record is None else self._uploads.bundle(record)
 
     def furniture_archive(self, name: str) -> bytes | None:
@@ -248,22 +227,20 @@ class Library:
         `may_see` is true for its name; the record of no other one is read.
         """
         words = (search or "").lower().split()
+        due = {"category": category, "creator": creator, "licence": licence}
 
         def matches(entry: Entry) -> bool:
-            return (
-                (category is None or entry.category.lower() == category.lower())
-                and (creator is None or entry.creator.lower() == creator.lower())
-                and (licence is None or entry.licence.lower() == licence.lower())
-                and (not words or has_words(entry, words))
-            )
+            text = f"{entry.name} {entry.title} {entry.category} {entry.creator}".lower()
+            equal = all(value is None or getattr(entry, name).lower() == value.lower() for name, value in due.items())
+            return equal and all(word in text for word in words)
 
         uploads = self._uploads.all(lambda sha256: may_see(f"sha256:{sha256}"))
         return [entry for entry in (*self._shipped(), *map(upload_entry, uploads)) if matches(entry)]
 
     def entry(self, name: str) -> Entry | None:
         """Returns the entry of a mesh; None if there is none of that name."""
-        if upload := _UPLOAD.fullmatch(name):
-            record = self._uploads.record(upload[1])
+        if _UPLOAD.fullmatch(name):
+            record = self._record(name)
             return None if record is None else upload_entry(record)
         return next((entry for entry in self._shipped() if entry.name == name), None)
 
@@ -299,10 +276,7 @@ class Library:
 
         Raises InvalidRequest("environment", …) with close matches.
         """
-        if upload := _UPLOAD.fullmatch(name):
-            self.check_map(name)
-            record = self._uploads.record(upload[1])
-            assert record is not None
+        if (record := self._record(name)) is not None and is_map(record.kind):
             return self._uploads.load_map(record)
         with self._lock:
             if name not in self._maps:
@@ -317,16 +291,19 @@ class Library:
         maps = [environment_entry(path.stem) for path in self._environments.glob("*.exr")]
         return sorted([*(entry for entry in maps if entry.name != "uniform"), UNIFORM], key=lambda entry: entry.name)
 
+    def _record(self, name: str) -> Upload | None:
+        """The metadata of an upload, `sha256:<hex>`; None for another name, and for one that is not there."""
+        upload = _UPLOAD.fullmatch(name)
+        return None if upload is None else self._uploads.record(upload[1])
+
     def _load(self, name: str) -> Mesh:
         kind, _, rest = name.partition("/")
         if kind == "primitive" and rest in PRIMITIVES:
             return primitive(rest)
-        if match := _UPLOAD.fullmatch(name):
-            upload = self._uploads.record(match[1])
-            if upload is not None and is_map(upload.kind):
+        if (upload := self._record(name)) is not None:
+            if is_map(upload.kind):
                 raise InvalidRequest("mesh", f"{name!r} is an environment map, for lights.environment.map")
-            if upload is not None:
-                return self._uploads.load(upload)
+            return self._uploads.load(upload)
         models = self._catalogue()
         if kind == "furniture" and rest in models:
             return load_model(models[rest], self._furniture, self._processed)
@@ -342,7 +319,7 @@ class Library:
         with self._lock:
             # Read an empty catalogue again each time: the set-up may still be running.
             if not self._models:
-                self._models = read_catalogue(self._furniture, self._processed / "catalogue.json")
+                self._models = read_catalogue(self._furniture)
             return self._models
 
     def _shipped(self) -> list[Entry]:
@@ -351,7 +328,7 @@ class Library:
         with self._lock:
             if not models or not self._shipped_entries:
                 furniture = sorted(map(furniture_entry, models.values()), key=lambda entry: entry.name)
-                solids = sorted(map(solid_entry, PRIMITIVES), key=lambda entry: entry.name)
+                solids = [own_entry(f"primitive/{name}", "primitive") for name in sorted(PRIMITIVES)]
                 self._shipped_entries = [*furniture, *solids]
             return self._shipped_entries
 

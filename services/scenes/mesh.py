@@ -8,8 +8,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from services.errors import Unreadable
 from services.scenes.description import DISTANCE, FIELD_OF_VIEW
-from services.scenes.unreadable import Unreadable
 
 Floats = NDArray[np.float32]
 Doubles = NDArray[np.float64]
@@ -55,6 +55,10 @@ class MaterialSettings:
     normal_scale: float
     occlusion_strength: float
     maps: Mapping[MapName, TextureMap]
+
+
+VERTEX_ATTRIBUTES = {"tangents": 4, "second_uv": 2, "vertex_colors": 4}
+"""The array fields of a `MetallicRoughness`, with their numbers of columns."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,6 +129,21 @@ class Mesh:
     def triangles(self) -> int:
         """Number of triangles of all parts."""
         return sum(len(part.faces) for part in self.parts)
+
+
+class TooLarge(ValueError):
+    """A file can be read, but has more triangles or vertices than are taken."""
+
+
+def check_size(max_faces: int, triangles: int, vertices: int = 0) -> None:
+    """Raises TooLarge for more than `max_faces` triangles, and for more than three vertices for each of so many."""
+    for count, what, most in ((triangles, "triangles", max_faces), (vertices, "vertices", 3 * max_faces)):
+        if count > most:
+            raise TooLarge(
+                f"it declares {count:,} {what}, and at most {most:,} are taken; simplify it, by Blender's modifier "
+                "Decimate or by trimesh's simplify_quadric_decimation, or raise the service's setting "
+                "SCENE_ATTACK_MAX_FACES"
+            )
 
 
 def fitted(parts: tuple[Part, ...]) -> tuple[Part, ...]:

@@ -6,7 +6,8 @@ import base64
 import binascii
 import hashlib
 import json
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from math import pi, sin
@@ -380,13 +381,24 @@ def fingerprint(description: BaseModel, contents: Sequence[str]) -> str:
     return hashlib.sha256("\n".join([canonical_json(description), *contents]).encode()).hexdigest()
 
 
+@contextmanager
+def _at(field: str) -> Iterator[None]:
+    """Names the field of the request in an InvalidRequest of the block."""
+    try:
+        yield
+    except InvalidRequest as error:
+        raise InvalidRequest(field, error.detail) from error
+
+
 def _meshes(library: Library, scene: Scene) -> tuple[Mesh, ...]:
     """The objects' meshes; objects of the same mesh and surface share one, so that it is uploaded once."""
     meshes: dict[tuple[str, float | None, float | None], Mesh] = {}
     for k, thing in enumerate(scene.objects):
         key = thing.mesh, thing.metallic, thing.roughness
         if key not in meshes:
-            meshes[key] = with_surface(_mesh(library, k, thing.mesh), thing.metallic, thing.roughness)
+            with _at(f"scene.objects.{k}.mesh"):
+                mesh = library.mesh(thing.mesh)
+            meshes[key] = with_surface(mesh, thing.metallic, thing.roughness)
     return tuple(meshes[thing.mesh, thing.metallic, thing.roughness] for thing in scene.objects)
 
 
@@ -394,19 +406,15 @@ def _environment(library: Library, scene: Scene) -> EnvironmentMap:
     name = scene.lights.environment.map
     if name == LIGHTS:
         return lights_map(scene.lights)
-    try:
+    with _at("scene.lights.environment.map"):
         return library.environment(name)
-    except InvalidRequest as error:
-        raise InvalidRequest("scene.lights.environment.map", error.detail) from error
 
 
 def _picture(scene: Scene) -> Doubles | None:
     if scene.background is None or scene.background.image is None:
         return None
-    try:
+    with _at("scene.background.image"):
         return read_picture(scene.background.image, scene.camera.size)
-    except InvalidRequest as error:
-        raise InvalidRequest("scene.background.image", error.detail) from error
 
 
 def _standing(scene: Scene, meshes: Sequence[Mesh], models: Sequence[Doubles]) -> Scene:
@@ -420,13 +428,6 @@ def _standing(scene: Scene, meshes: Sequence[Mesh], models: Sequence[Doubles]) -
     )
     floor = scene.floor.model_copy(update={"height": lowest + scene.floor.height, "contact": False})
     return scene.model_copy(update={"floor": floor})
-
-
-def _mesh(library: Library, index: int, name: str) -> Mesh:
-    try:
-        return library.mesh(name)
-    except InvalidRequest as error:
-        raise InvalidRequest(f"scene.objects.{index}.mesh", error.detail) from error
 
 
 def _far(scene: Scene, view: Doubles) -> float:

@@ -11,12 +11,10 @@ from typing import Any
 import numpy as np
 
 from services import disk
-from services.scenes.mesh import MetallicRoughness, Part, TextureMap
+from services.scenes.mesh import VERTEX_ATTRIBUTES, MetallicRoughness, Part, TextureMap
 
 FORMAT = 3
 """Version of the cache, part of every file's name. Increase it with any change to the processing of meshes."""
-VERTEX_ATTRIBUTES = ("tangents", "second_uv", "vertex_colors")
-"""Names of the array fields of a `MetallicRoughness`."""
 
 
 def mesh_path(directory: Path, key: str) -> Path:

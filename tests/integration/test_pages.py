@@ -9,7 +9,7 @@ from playwright.sync_api import Browser, Page, expect
 from tests.integration.browser import fresh_page, launched, wait_for_images
 from tests.integration.conftest import Stack
 from tests.integration.test_accessibility import filled, watched
-from tests.unit.scenes.test_beside import MTL, OBJ
+from tests.unit.scenes.test_companion_files import MTL, OBJ
 
 pytestmark = pytest.mark.integration
 __all__ = ["filled"]

@@ -7,17 +7,14 @@ import json
 import posixpath
 import re
 import struct
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from functools import cached_property
 from io import BytesIO
-from typing import Any, NamedTuple
+from typing import NamedTuple
 from urllib.parse import unquote
 
-import trimesh
-
-from services.errors import InvalidRequest
+from services.errors import DAMAGED, InvalidRequest, Unreadable
 from services.scenes.image_file import open_texture
-from services.scenes.unreadable import DAMAGED, Unreadable
 
 
 class Named(NamedTuple):
@@ -210,8 +207,8 @@ def _is_number(word: str) -> bool:
 IMAGES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".gif", ".tga")
 
 
-class Beside(trimesh.resolvers.Resolver):  # type: ignore[misc]  # trimesh has no types
-    """Gives a parser the files beside a mesh and refuses every other name and address.
+class CompanionFiles:
+    """Gives a parser the files beside a mesh and refuses every other name and address; one of trimesh's resolvers.
 
     A texture is given only if it is an image of a known format; it raises InvalidRequest("file", …) otherwise.
     """
@@ -219,6 +216,7 @@ class Beside(trimesh.resolvers.Resolver):  # type: ignore[misc]  # trimesh has n
     def __init__(self, files: Mapping[str, bytes], kind: str = "", data: bytes = b"") -> None:
         """`files` are given by their paths relative to the folder of the mesh, which is `data` of format `kind`."""
         self._files = files
+        self._images: dict[str, bytes] = {}
         self.paths = tuple(files)
         self.size = sum(map(len, files.values()))
         self.named = self._named(data, kind)
@@ -259,25 +257,11 @@ class Beside(trimesh.resolvers.Resolver):  # type: ignore[misc]  # trimesh has n
             if path.lower().endswith(IMAGES):
                 self._images[path] = _checked(self._files[path], path)
 
-    def keys(self) -> Iterable[str]:
-        """The paths of the files."""
-        return self._files.keys()
-
-    def write(self, name: str, data: Any) -> None:
-        """Raises NotImplementedError: no file is written."""
-        raise NotImplementedError
-
-    def namespaced(self, namespace: str) -> "Beside":
-        """Raises FileNotFoundError: there is nothing but the files."""
-        raise FileNotFoundError(namespace)
+    __getitem__ = get
 
     @cached_property
     def _paths(self) -> dict[str, str]:
         return {posixpath.normpath(path).lower(): path for path in self._files}
-
-    @cached_property
-    def _images(self) -> dict[str, bytes]:
-        return {}
 
     @cached_property
     def _libraries(self) -> list[str]:

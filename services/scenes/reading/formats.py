@@ -17,15 +17,14 @@ import trimesh
 from numpy.typing import NDArray
 from PIL import Image
 
-from services.errors import InvalidRequest, shortened
+from services.errors import DAMAGED, InvalidRequest, Unreadable, shortened
 from services.scenes.bundle import SIGNATURE, Up, unpack_archive
 from services.scenes.image_file import open_texture
-from services.scenes.mesh import Part
-from services.scenes.reading.companion_files import Beside, check_xml, decoded, texture_name
-from services.scenes.reading.gltf import GltfFile, elements, json_of, read_gltf, size
+from services.scenes.mesh import Part, TooLarge, check_size
+from services.scenes.reading.companion_files import CompanionFiles, check_xml, decoded, texture_name
+from services.scenes.reading.gltf import GltfFile, check_glb, check_gltf, read_gltf
 from services.scenes.reading.isolated import Report, listed
 from services.scenes.reading.surfaces import MAX_TEXTURE, read_opacity, read_surfaces, to_parts
-from services.scenes.unreadable import DAMAGED, TooLarge, Unreadable
 
 _SIZES = {
     **dict.fromkeys(("char", "uchar", "int8", "uint8"), 1),
@@ -33,21 +32,6 @@ _SIZES = {
     **dict.fromkeys(("int", "uint", "int32", "uint32", "float", "float32"), 4),
     **dict.fromkeys(("double", "float64", "int64", "uint64"), 8),
 }
-_MAX_NODES = 10_000
-_MAX_ELEMENTS = {
-    "accessors": 50_000,
-    "bufferViews": 50_000,
-    "buffers": 100,
-    "images": 256,
-    "materials": 1_000,
-    "meshes": 10_000,
-    "samplers": 1_000,
-    "scenes": 100,
-    "textures": 1_000,
-}
-"""Largest length of each top-level array of a glTF file."""
-_MAX_PRIMITIVES = 10_000
-"""Largest number of primitives of all meshes of a glTF file together."""
 _MAX_PIECES = 2_000
 """Largest number of materials of an obj file, or of solids of an stl file: a factor of the parser's time."""
 MAX_3MF = 2**27
@@ -63,10 +47,9 @@ def _obj(data: bytes, max_faces: int) -> None:
     vertex_lines, face_lines = (_count_lines(data, key) for key in (rb"v[ \t]", rb"f\b"))
     if not vertex_lines or not face_lines:
         raise Unreadable("it has no vertices (`v x y z`) or no faces (`f a b c`)")
-    _check_triangle_count(face_lines, max_faces)
+    check_size(max_faces, face_lines)
     faces = re.findall(rb"^[ \t]*f\b([^\r\n]*)", data, re.MULTILINE)
-    _check_triangle_count(sum(len(face.split()) - 2 for face in faces), max_faces)
-    _check_vertex_count(vertex_lines, max_faces)
+    check_size(max_faces, sum(len(face.split()) - 2 for face in faces), vertex_lines)
     materials = len(set(re.findall(rb"^[ \t]*usemtl\b([^\r\n]*)", data, re.MULTILINE)))
     if materials > _MAX_PIECES:
         raise Unreadable(f"it has {materials:,} materials; at most {_MAX_PIECES:,} are taken")
@@ -102,8 +85,7 @@ def _ply(data: bytes, max_faces: int) -> None:
             size_of_value = _SIZES[words[2] if words[1] == "list" else words[1]]
             # In a text file a value takes at least a digit and a blank.
             needed += row * (2 if ascii_body else size_of_value)
-    _check_triangle_count(counts.get("face", 0), max_faces)
-    _check_vertex_count(counts.get("vertex", 0), max_faces)
+    check_size(max_faces, counts.get("face", 0), counts.get("vertex", 0))
     if needed > len(body) + 1:
         raise Unreadable(f"its header declares at least {needed:,} bytes of elements, but {len(body):,} follow")
     if ascii_body:
@@ -117,13 +99,13 @@ def _stl(data: bytes, max_faces: int) -> None:
     if len(data) >= 84:
         (count,) = struct.unpack_from("<I", data, 80)
         if len(data) == 84 + 50 * count:
-            _check_triangle_count(count, max_faces)
+            check_size(max_faces, count)
             return
     text = data[:4096].lstrip().lower()
     if not text.startswith(b"solid") or b"\0" in data:
         raise Unreadable("it is neither text that begins with `solid` nor as long as its triangle count says")
     vertices = len(re.findall(rb"\bvertex\b", data, re.IGNORECASE))
-    _check_triangle_count(vertices // 3, max_faces)
+    check_size(max_faces, vertices // 3)
     complete = len(re.findall(rb"\bvertex(?:[ \t]+[-+.\dA-Za-z]+){3}[ \t]*\r?$", data, re.IGNORECASE | re.MULTILINE))
     solids = len(re.findall(rb"endsolid", data, re.IGNORECASE))
     if vertices % 3 or complete != vertices or not solids:  # the parser passes over a last solid that is cut off
@@ -142,31 +124,10 @@ def _off(data: bytes, max_faces: int) -> None:
     if len(counts) < 2:
         raise Unreadable("it does not say how many vertices and faces it has")
     vertices, faces = int(counts[0]), int(counts[1])
-    _check_triangle_count(faces, max_faces)
-    _check_vertex_count(vertices, max_faces)
+    check_size(max_faces, faces, vertices)
     _check_numbers(b" ".join(rest))
     if len(rest) - 1 < vertices + faces:
         raise Unreadable(f"it declares {vertices:,} vertices and {faces:,} faces, but {len(rest) - 1:,} lines follow")
-
-
-def _glb(data: bytes, _: int) -> None:
-    if data[:4] != b"glTF":
-        raise Unreadable("it does not begin with glTF")
-    version, length = struct.unpack_from("<II", data, 4)
-    if version != 2:
-        raise Unreadable(f"it is a file of glTF {version}; files of glTF 2 are read")
-    if length != len(data):
-        raise Unreadable(f"its header says that it has {length:,} bytes, but it has {len(data):,}; is it complete?")
-
-
-def _gltf(data: bytes, _: int) -> None:
-    text = data.removeprefix(b"\xef\xbb\xbf").lstrip()
-    if not text.startswith(b"{"):
-        raise Unreadable("it does not begin with an object of JSON")
-    asset = json_of(text).get("asset")
-    version = asset.get("version") if isinstance(asset, dict) else None
-    if not str(version).startswith("2"):
-        raise Unreadable(f"it is a file of glTF {version!r}; files of glTF 2 are read")
 
 
 def _dae(data: bytes, max_faces: int) -> None:
@@ -177,7 +138,7 @@ def _dae(data: bytes, max_faces: int) -> None:
         if re.search(rb"nan|inf", array[1], re.IGNORECASE):  # the parser would make 0 of them
             raise Unreadable("it has numbers that are not finite")
     counts = re.findall(_COUNT, data)
-    _check_triangle_count(sum(map(int, counts)), max_faces)
+    check_size(max_faces, sum(map(int, counts)))
 
 
 def _3mf(data: bytes, max_faces: int) -> None:
@@ -192,45 +153,8 @@ def _3mf(data: bytes, max_faces: int) -> None:
         raise Unreadable("there is no 3D model in it")
     for model in models:
         check_xml(model)
-    _check_triangle_count(sum(model.count(b"<triangle ") for model in models), max_faces)
-    _check_vertex_count(sum(model.count(b"<vertex ") for model in models), max_faces)
-
-
-def check_elements(file: GltfFile, held: int, max_faces: int) -> None:
-    """Counts what a glTF file declares. `held` is the number of bytes of the file and those beside it.
-
-    Raises Unreadable, which names the element, for more than the limits, and for nodes that are no tree.
-    """
-    for name, most in _MAX_ELEMENTS.items():
-        if len(file.array(name)) > most:
-            raise Unreadable(f"it has {len(file.array(name)):,} {name}; at most {most:,} are taken")
-    if any("bufferView" not in accessor for accessor in file.items("accessors")):
-        raise Unreadable("it has accessors without data (compressed geometry is not read)")
-    views = enumerate(file.items("bufferViews"))
-    if sum(size(view.get("byteLength"), f"bufferViews[{k}].byteLength") for k, view in views) > 4 * held:
-        raise Unreadable("its buffer views declare more than the file holds")
-    nodes = file.items("nodes")
-    children = [
-        size(c, f"nodes[{k}].children") for k, n in enumerate(nodes) for c in elements(n, "children", f"nodes[{k}]")
-    ]
-    if len(nodes) > _MAX_NODES or len(set(children)) != len(children):
-        raise Unreadable(f"its nodes are not a tree of at most {_MAX_NODES:,}")
-    primitives = sum(len(elements(mesh, "primitives", f"meshes[{k}]")) for k, mesh in enumerate(file.items("meshes")))
-    if primitives > _MAX_PRIMITIVES:
-        raise Unreadable(f"it has {primitives:,} primitives; at most {_MAX_PRIMITIVES:,} are taken")
-    corners, vertices = 0, 0
-    for mesh in range(len(file.array("meshes"))):
-        for where, primitive, attributes in file.primitives(mesh):
-            position = file.count(attributes["POSITION"])
-            for name, accessor in attributes.items():
-                if file.count(accessor) != position:
-                    raise Unreadable(f"{where} has {file.count(accessor):,} of {name} for {position:,} vertices")
-            corners += file.count(primitive["indices"]) if "indices" in primitive else position
-            vertices += position
-    # Every primitive is counted as a triangle list; a strip of the same length has more, which the reader counts.
-    _check_triangle_count(corners // 3, max_faces)
-    # Primitives may share an accessor of vertices, but the parser copies it for each.
-    _check_vertex_count(vertices // 8, max_faces)
+    text = b"".join(models)
+    check_size(max_faces, text.count(b"<triangle "), text.count(b"<vertex "))
 
 
 def _check_numbers(text: bytes) -> None:
@@ -240,24 +164,13 @@ def _check_numbers(text: bytes) -> None:
         raise Unreadable(f"it has {strange[:20].decode('latin-1')!r} where there should be numbers")
 
 
-def _check_triangle_count(triangles: int, max_faces: int) -> None:
-    if triangles > max_faces:
-        raise TooLarge(triangles, "triangles", max_faces)
-
-
-def _check_vertex_count(vertices: int, max_faces: int) -> None:
-    # A triangle has three vertices, so more than three per triangle are unused.
-    if vertices > 3 * max_faces:
-        raise TooLarge(vertices, "vertices", 3 * max_faces)
-
-
 CHECKS: dict[str, Callable[[bytes, int], None]] = {
     "obj": _obj,
     "ply": _ply,
     "stl": _stl,
-    "glb": _glb,
+    "glb": check_glb,
     "off": _off,
-    "gltf": _gltf,
+    "gltf": check_gltf,
     "dae": _dae,
     "3mf": _3mf,
 }
@@ -295,7 +208,7 @@ def read_mesh(
     data: bytes,
     kind: str,
     max_faces: int,
-    beside: Beside | None = None,
+    beside: CompanionFiles | None = None,
     up: Up | None = None,
     note: Callable[[str], None] = lambda _: None,
 ) -> tuple[Part, ...]:
@@ -307,11 +220,13 @@ def read_mesh(
     kind, declare more data than they hold, cannot be parsed, have no triangles or more than `max_faces`, have vertices
     that are not finite, or have no area, or if a texture is no image.
     """
-    parts = _parts(data, kind, max_faces, beside or Beside({}), note)
+    parts = _parts(data, kind, max_faces, beside or CompanionFiles({}), note)
     return upright(parts) if up == "z" or (up is None and is_z_up(data, kind)) else parts
 
 
-def _parts(data: bytes, kind: str, max_faces: int, beside: Beside, note: Callable[[str], None]) -> tuple[Part, ...]:
+def _parts(
+    data: bytes, kind: str, max_faces: int, beside: CompanionFiles, note: Callable[[str], None]
+) -> tuple[Part, ...]:
     if kind not in CHECKS:
         raise InvalidRequest("kind", f"{kind!r} meshes are not read; one of {', '.join(KINDS)} is")
     if not data.strip():
@@ -322,11 +237,11 @@ def _parts(data: bytes, kind: str, max_faces: int, beside: Beside, note: Callabl
         with np.errstate(all="ignore"):
             if kind in ("glb", "gltf"):
                 file = GltfFile(data.removeprefix(b"\xef\xbb\xbf"), beside)
-                check_elements(file, len(data) + beside.size, max_faces)
                 return read_gltf(file, max_faces, note)
             beside.check()
             text = decoded(data).encode() if kind in ("obj", "off") else _in_doubles(data) if kind == "ply" else data
             scene = trimesh.load_scene(BytesIO(text), file_type=kind, resolver=beside, process=False)
+            check_size(max_faces, triangles(scene))
     except (MemoryError, InvalidRequest):
         raise
     except TooLarge as error:
@@ -334,9 +249,6 @@ def _parts(data: bytes, kind: str, max_faces: int, beside: Beside, note: Callabl
     except Exception as error:  # parsers raise many types of exceptions; in every case the file is invalid
         message = shortened(error) if isinstance(error, Unreadable) else DAMAGED
         raise InvalidRequest("file", f"it is not a readable {kind} mesh: {message}") from error
-    count = triangles(scene)
-    if count > max_faces:
-        raise InvalidRequest("file", str(TooLarge(count, "triangles", max_faces)))
     try:
         # Nobody sends what cannot be seen: an opacity of 0 is a writer's mistake, of `Tr` above all.
         opacity = {name: value or 1.0 for name, value in read_opacity(beside.libraries()).items()}
@@ -370,7 +282,7 @@ _3MF = {b"<basematerials": "materials", b":colorgroup": "colours", b":texture2d"
 _NOT_DRAWN = {"animations": "animations", "skins": "skins", "cameras": "cameras"}
 
 
-def report(data: bytes, kind: str, beside: Beside, parts: Sequence[Part], notes: Sequence[str]) -> Report:
+def report(data: bytes, kind: str, beside: CompanionFiles, parts: Sequence[Part], notes: Sequence[str]) -> Report:
     """Returns what became of what a mesh file holds and names.
 
     `parts` are those that were read from it, and `notes` what was said of it then to be not shown.
@@ -402,7 +314,7 @@ def report(data: bytes, kind: str, beside: Beside, parts: Sequence[Part], notes:
     return Report(listed(used), listed(dropped))
 
 
-def _files(beside: Beside, textured: bool) -> tuple[list[str], list[str]]:
+def _files(beside: CompanionFiles, textured: bool) -> tuple[list[str], list[str]]:
     used: list[str] = []
     dropped: list[str] = []
     named_paths: set[str | None] = set()

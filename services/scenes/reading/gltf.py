@@ -11,7 +11,6 @@ import struct
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, fields
-from functools import cached_property
 from math import inf, isfinite
 from typing import Any
 
@@ -19,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from services.errors import Unreadable
 from services.scenes.image_file import FORMATS, open_image
 from services.scenes.mesh import (
     AlphaMode,
@@ -30,12 +30,12 @@ from services.scenes.mesh import (
     MetallicRoughness,
     Part,
     TextureMap,
+    check_size,
     fitted,
 )
-from services.scenes.reading.companion_files import Beside
+from services.scenes.reading.companion_files import CompanionFiles
 from services.scenes.reading.normals import derive_tangents
 from services.scenes.reading.surfaces import MAX_COORDINATE, Textures, rounding_note
-from services.scenes.unreadable import TooLarge, Unreadable
 from services.strict import NotJson, read_json
 
 READ_EXTENSIONS = ("KHR_mesh_quantization", "EXT_texture_webp")
@@ -57,13 +57,15 @@ class MissingFile(Unreadable):
 class GltfFile:
     """The elements of a glTF file. Every method raises Unreadable, which names the element, if it is invalid."""
 
-    def __init__(self, data: bytes, beside: Beside | None = None) -> None:
+    def __init__(self, data: bytes, beside: CompanionFiles | None = None) -> None:
         """Reads a GLB, or JSON whose buffers and images may be in files of `beside`.
 
         Raises Unreadable if `data` is not in the chunks of a glTF 2 file or requires an unsupported extension.
         """
         self._binary = b""
-        self._beside = beside or Beside({})
+        self._beside = beside or CompanionFiles({})
+        self.held = len(data) + self._beside.size
+        """Bytes of the file and of those beside it."""
         tree: Any = None if data.startswith(b"glTF") else json_of(data)
         position = 12 if tree is None else len(data)
         while position + 8 <= len(data):
@@ -84,6 +86,7 @@ class GltfFile:
             names = ", ".join(str(name) for name in unread)
             raise Unreadable(f"it requires the extension {names} (extensionsRequired), which is not read")
         self._images: dict[tuple[str, int], Image.Image] = {}
+        self._buffers: dict[int, bytes] = {}
 
     def array(self, name: str) -> list[Any]:
         """Returns a top-level array of the JSON; empty if the JSON does not have it."""
@@ -215,10 +218,6 @@ class GltfFile:
         if (path := self._beside.find(uri)) is None:
             raise MissingFile(f"{where} is in the file {uri[:100]!r}, which was not sent")
         return self._beside.data(path)
-
-    @cached_property
-    def _buffers(self) -> dict[int, bytes]:
-        return {}
 
 
 def json_of(data: bytes) -> Any:
@@ -360,12 +359,85 @@ def _map(file: GltfFile, info: Any, textures: Textures, where: str) -> TextureMa
     return TextureMap(texels, uv_set, wrap)
 
 
+_MAX_NODES = 10_000
+_MAX_ELEMENTS = {
+    "accessors": 50_000,
+    "bufferViews": 50_000,
+    "buffers": 100,
+    "images": 256,
+    "materials": 1_000,
+    "meshes": 10_000,
+    "samplers": 1_000,
+    "scenes": 100,
+    "textures": 1_000,
+}
+"""Largest length of each top-level array of a glTF file."""
+_MAX_PRIMITIVES = 10_000
+"""Largest number of primitives of all meshes of a glTF file together."""
 MAX_PARTS = 2_000
 """Largest number of primitives in the scene; each is a part, which is drawn by itself."""
 MAX_TEXELS = 2**29
 """Bytes of all maps of all parts. A processed mesh on the disk holds a map once for each part that has it."""
 _MIN_HEIGHT = 1e-6
 """Ratio of a triangle's height to its longest edge below which a normal from float32 coordinates is noise."""
+
+
+def check_glb(data: bytes, _: int) -> None:
+    """Raises Unreadable for what is no whole binary file of glTF 2, by its header."""
+    if data[:4] != b"glTF":
+        raise Unreadable("it does not begin with glTF")
+    version, length = struct.unpack_from("<II", data, 4)
+    if version != 2:
+        raise Unreadable(f"it is a file of glTF {version}; files of glTF 2 are read")
+    if length != len(data):
+        raise Unreadable(f"its header says that it has {length:,} bytes, but it has {len(data):,}; is it complete?")
+
+
+def check_gltf(data: bytes, _: int) -> None:
+    """Raises Unreadable for what is no JSON of glTF 2."""
+    text = data.removeprefix(b"\xef\xbb\xbf").lstrip()
+    if not text.startswith(b"{"):
+        raise Unreadable("it does not begin with an object of JSON")
+    asset = json_of(text).get("asset")
+    version = asset.get("version") if isinstance(asset, dict) else None
+    if not str(version).startswith("2"):
+        raise Unreadable(f"it is a file of glTF {version!r}; files of glTF 2 are read")
+
+
+def check_elements(file: GltfFile, max_faces: int) -> None:
+    """Counts what a glTF file declares.
+
+    Raises Unreadable, which names the element, for more than the limits, and for nodes that are no tree.
+    """
+    for name, most in _MAX_ELEMENTS.items():
+        if len(file.array(name)) > most:
+            raise Unreadable(f"it has {len(file.array(name)):,} {name}; at most {most:,} are taken")
+    if any("bufferView" not in accessor for accessor in file.items("accessors")):
+        raise Unreadable("it has accessors without data (compressed geometry is not read)")
+    views = enumerate(file.items("bufferViews"))
+    if sum(size(view.get("byteLength"), f"bufferViews[{k}].byteLength") for k, view in views) > 4 * file.held:
+        raise Unreadable("its buffer views declare more than the file holds")
+    nodes = file.items("nodes")
+    children = [
+        size(c, f"nodes[{k}].children") for k, n in enumerate(nodes) for c in elements(n, "children", f"nodes[{k}]")
+    ]
+    if len(nodes) > _MAX_NODES or len(set(children)) != len(children):
+        raise Unreadable(f"its nodes are not a tree of at most {_MAX_NODES:,}")
+    primitives = sum(len(elements(mesh, "primitives", f"meshes[{k}]")) for k, mesh in enumerate(file.items("meshes")))
+    if primitives > _MAX_PRIMITIVES:
+        raise Unreadable(f"it has {primitives:,} primitives; at most {_MAX_PRIMITIVES:,} are taken")
+    corners, vertices = 0, 0
+    for mesh in range(len(file.array("meshes"))):
+        for where, primitive, attributes in file.primitives(mesh):
+            position = file.count(attributes["POSITION"])
+            for name, accessor in attributes.items():
+                if file.count(accessor) != position:
+                    raise Unreadable(f"{where} has {file.count(accessor):,} of {name} for {position:,} vertices")
+            corners += file.count(primitive["indices"]) if "indices" in primitive else position
+            vertices += position
+    # Every primitive is counted as a triangle list; a strip of the same length has more, which the reader counts.
+    # They may share an accessor of vertices, but the parser copies it for each.
+    check_size(max_faces, corners // 3, vertices // 8)
 
 
 def read_gltf(file: GltfFile, max_faces: int, note: Callable[[str], None] = lambda _: None) -> tuple[Part, ...]:
@@ -376,6 +448,7 @@ def read_gltf(file: GltfFile, max_faces: int, note: Callable[[str], None] = lamb
     vertices that are not finite or beyond MAX_COORDINATE, and for no triangle with an area; TooLarge for more than
     `max_faces` triangles.
     """
+    check_elements(file, max_faces)
     placed = list(_instances(file))
     primitives: dict[int, list[_Primitive]] = {}
     textures = Textures()
@@ -386,8 +459,7 @@ def read_gltf(file: GltfFile, max_faces: int, note: Callable[[str], None] = lamb
             read = (_primitive(file, *entry) for entry in file.primitives(index))
             primitives[index] = [primitive for primitive in read if primitive is not None]
         count += sum(len(primitive.faces) for primitive in primitives[index])
-    if count > max_faces:
-        raise TooLarge(count, "triangles", max_faces)
+    check_size(max_faces, count)
     parts = []
     if (total := sum(len(primitives[index]) for index, _ in placed)) > MAX_PARTS:
         raise Unreadable(f"its scene has {total:,} primitives; at most {MAX_PARTS:,} are taken")

@@ -27,7 +27,17 @@ from services.errors import InvalidRequest, JobFailure
 from services.logs import logger
 from services.scenes.bundle import MAX_FILES, Up, clean_name
 from services.scenes.image_file import MAX_PIXELS
-from services.scenes.mesh import FIT_RADIUS, AlphaMode, Bytes, Floats, MapName, MetallicRoughness, Part, TextureMap
+from services.scenes.mesh import (
+    FIT_RADIUS,
+    VERTEX_ATTRIBUTES,
+    AlphaMode,
+    Bytes,
+    Floats,
+    MapName,
+    MetallicRoughness,
+    Part,
+    TextureMap,
+)
 
 MOST_PHRASES = 40
 """Phrases of each kind; the last says how many more there would be."""
@@ -57,7 +67,6 @@ Unit = Annotated[float, Field(ge=0, le=1)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Index = Annotated[int, Field(ge=0)]
 Phrase = Annotated[str, Field(max_length=PHRASE_LENGTH)]
-_ATTRIBUTES = {"tangents": 4, "second_uv": 2, "vertex_colors": 4}
 _ROUNDING = 1.001
 
 
@@ -109,7 +118,7 @@ def pack(parts: tuple[Part, ...], report: Report) -> bytes:
     for k, part in enumerate(parts):
         own = part.metallic_roughness
         fields = {name: getattr(part, name) for name in ("vertices", "normals", "faces", "color", "uv")}
-        fields |= {} if own is None else {name: getattr(own, name) for name in _ATTRIBUTES}
+        fields |= {} if own is None else {name: getattr(own, name) for name in VERTEX_ATTRIBUTES}
         arrays |= {f"{k}.{name}": array for name, array in fields.items() if array is not None}
         texture = None if part.texture is None else texels(part.texture)
         material = None if own is None else _material_record(own, texels)
@@ -195,7 +204,7 @@ def _material(arrays: Arrays, k: int, record: _Material, textures: list[NDArray[
     count = len(arrays[f"{k}.vertices"])
     fields = {name: getattr(record, name) for name in _Material.model_fields if name not in ("maps", "emissive")}
     attributes: dict[str, Any] = {
-        name: _array(arrays, f"{k}.{name}", np.float32, count, width) for name, width in _ATTRIBUTES.items()
+        name: _array(arrays, f"{k}.{name}", np.float32, count, width) for name, width in VERTEX_ATTRIBUTES.items()
     }
     red, green, blue = record.emissive
     maps = {

@@ -28,7 +28,7 @@ from services.errors import InvalidRequest
 from services.scenes.bundle import Bundle, unpack_archive
 from services.scenes.environment import read_map
 from services.scenes.image_file import read_image
-from services.scenes.reading.companion_files import Beside
+from services.scenes.reading.companion_files import CompanionFiles
 from services.scenes.reading.formats import KINDS, read_mesh, report
 from services.scenes.reading.isolated import FILE_BYTES, pack
 
@@ -132,7 +132,7 @@ def read(request: dict[str, Any], data: bytes) -> tuple[dict[str, Any], bytes]:
             others[name] = data[start : start + length]
             start += length
         data = data[start:]
-        files = Beside(others, kind, data)
+        files = CompanionFiles(others, kind, data)
         notes: list[str] = []
         parts = read_mesh(data, kind, request["max_faces"], files, request["up"], notes.append)
         return {}, pack(parts, report(data, kind, files, parts, notes))

@@ -6,9 +6,7 @@ size apart: vertices of a mesh 1 m wide and 2,000 km from the origin, such as on
 on a grid of 0.125 m, and many triangles have no area.
 """
 
-import posixpath
-import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from io import BytesIO
 from typing import Any
@@ -17,10 +15,11 @@ import numpy as np
 import trimesh
 from PIL import Image
 
+from services.errors import Unreadable
 from services.scenes.image_file import MAX_PIXELS, to_linear
 from services.scenes.mesh import Bytes, Doubles, Floats, Longs, Part, fitted
+from services.scenes.reading.companion_files import CompanionFiles, decoded
 from services.scenes.reading.normals import CREASE_ANGLE, smooth_normals
-from services.scenes.unreadable import Unreadable
 
 FAR = 1_000.0
 """Distance from the origin, relative to the mesh's extent, beyond which rounding shows: a grid of 1e-4 of the mesh."""
@@ -229,17 +228,10 @@ def _display_color(rgba: Any) -> Floats:
 
 def read_obj(files: dict[str, bytes], name: str) -> list[Surface]:
     """Returns the surfaces of the model in the file `name`; `files` holds it, its material library and its textures."""
-    resolver = _Members(files)
-    obj = files[name]
-    opacity: dict[str, float] = {}
-    library = re.search(rb"^\s*mtllib\s+(.+?)\s*$", obj, re.MULTILINE)
-    if library is not None:
-        try:
-            opacity = read_opacity(resolver.get(library[1].decode("latin-1")).decode("latin-1"))
-        except KeyError:
-            opacity = {}
-    scene = trimesh.load_scene(BytesIO(obj), file_type="obj", resolver=resolver, process=False)
-    return read_surfaces(scene, opacity)
+    beside = CompanionFiles({other: data for other, data in files.items() if other != name}, "obj", files[name])
+    text = BytesIO(decoded(files[name]).encode())
+    scene = trimesh.load_scene(text, file_type="obj", resolver=beside, process=False)
+    return read_surfaces(scene, read_opacity(beside.libraries()))
 
 
 def read_opacity(mtl: str) -> dict[str, float]:
@@ -262,24 +254,3 @@ def read_opacity(mtl: str) -> dict[str, float]:
             if key == "d":
                 dissolved.add(name)
     return opacity
-
-
-class _Members(trimesh.resolvers.Resolver):  # type: ignore[misc]  # trimesh has no types
-    """Resolves names to the files of a model and to no others."""
-
-    def __init__(self, files: dict[str, bytes]) -> None:
-        self._files = {name.lower(): data for name, data in files.items()}
-
-    def get(self, key: str) -> bytes:
-        # Exporters write any case, backslashes and absolute paths; the file itself may lie beside the model.
-        path = posixpath.normpath(key.strip().replace("\\", "/")).lower()
-        return self._files[path if path in self._files else posixpath.basename(path)]
-
-    def keys(self) -> Iterable[str]:
-        return self._files.keys()
-
-    def write(self, name: str, data: Any) -> None:
-        raise NotImplementedError
-
-    def namespaced(self, namespace: str) -> "_Members":
-        raise NotImplementedError

@@ -12,7 +12,7 @@ from PIL import Image
 from services.pipeline.spec import parse
 from tests.unit.api.guarded import ATTACK, Guarded
 from tests.unit.api.test_owners import UNKNOWN, names
-from tests.unit.scenes.test_beside import MTL, OBJ, image
+from tests.unit.scenes.test_companion_files import MTL, OBJ, image
 from tests.unit.scenes.test_uploaded_maps import TEXELS, exr
 
 PYRAMID = b"OFF\n4 4 0\n0 0 0\n3 0 0\n0 1 0\n0 0 2\n3 0 2 1\n3 0 1 3\n3 0 3 2\n3 1 2 3\n"

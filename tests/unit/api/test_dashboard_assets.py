@@ -12,7 +12,7 @@ from tests.unit.api.guarded import MESH, Guarded
 from tests.unit.api.test_assets import PYRAMID
 from tests.unit.api.test_dashboard_pages import Tags
 from tests.unit.api.test_sign_in import FOREIGN
-from tests.unit.scenes.test_beside import MTL, OBJ, image
+from tests.unit.scenes.test_companion_files import MTL, OBJ, image
 
 pytestmark = pytest.mark.slow
 

@@ -16,7 +16,7 @@ from services.scenes.library import Library
 from services.settings import DEFAULTS, Settings
 from tests.unit.client.scripted_service import CAMPAIGN, UPLOADED, Script, client, says, script
 from tests.unit.client.scripted_service import job as answered
-from tests.unit.scenes.test_beside import MTL, OBJ, image
+from tests.unit.scenes.test_companion_files import MTL, OBJ, image
 
 pytestmark = pytest.mark.slow
 

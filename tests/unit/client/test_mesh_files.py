@@ -6,7 +6,7 @@ import pytest
 
 from client.mesh_files import with_files_beside
 from services.errors import InvalidRequest
-from tests.unit.scenes.test_beside import MTL, OBJ, image
+from tests.unit.scenes.test_companion_files import MTL, OBJ, image
 
 
 def sent(*given: Path) -> list[str]:

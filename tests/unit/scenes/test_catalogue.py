@@ -1,13 +1,26 @@
-"""Reading the furniture catalogue: fields, licences, slugs, and what a broken one does."""
+"""The furniture catalogue: .properties files against an independent writer, fields, licences, slugs, kinds, sizes."""
 
-import json
 import zipfile
+from collections import Counter
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.scenes.furniture import IDENTITY, Model, read_archive, read_catalogue, slugify, with_slugs
+from services.scenes.furniture import (
+    IDENTITY,
+    Model,
+    kind_of,
+    kinds,
+    parse_properties,
+    read_archive,
+    read_catalogue,
+    slugify,
+    with_slugs,
+)
+from services.scenes.library import Library
+from tests.unit.jobs.small import LIBRARY
 
 HEAD = "id=X\nname=Test Models catalog\nlicense=Creative Commons Attribution 3.0 license\n"
 
@@ -88,36 +101,13 @@ def test_models_come_in_the_order_of_their_numbers(tmp_path):
 def test_slugs_on_a_clash_take_the_key_then_the_library(tmp_path):
     archive(tmp_path / "a.sh3f", HEAD + model(1) + model(2) + model(3, id="Test#chair3"))
     archive(tmp_path / "b.sh3f", HEAD.replace("Test Models", "Other") + model(2) + model(4, "Grand piano"))
-    found = read_catalogue(tmp_path, tmp_path / "index.json")
+    found = read_catalogue(tmp_path)
     assert list(found) == ["chair", "chair-key2", "chair3", "chair-key2-other", "grand-piano"]
     assert [m.slug for m in found.values()] == list(found)
 
 
-def test_the_index_is_taken_while_the_archives_are_the_same(tmp_path):
-    archive(tmp_path / "a.sh3f", HEAD + model(1))
-    index = tmp_path / "cache" / "index.json"
-    first = read_catalogue(tmp_path, index)
-    kept = json.loads(index.read_bytes())
-    kept["models"][0]["title"] = "From the index"
-    index.write_text(json.dumps(kept))
-    assert read_catalogue(tmp_path, index)["chair"].title == "From the index"
-    archive(tmp_path / "b.sh3f", HEAD + model(1, "Bed"))
-    assert read_catalogue(tmp_path, index)["chair"] == first["chair"]
-    assert "bed" in read_catalogue(tmp_path, index)
-
-
-@pytest.mark.parametrize("damage", ["", "{", "[]", '{"stamp": 1}', "null"])
-def test_a_damaged_index_is_made_again(tmp_path, damage):
-    archive(tmp_path / "a.sh3f", HEAD + model(1))
-    index = tmp_path / "index.json"
-    first = read_catalogue(tmp_path, index)
-    index.write_text(damage)
-    assert read_catalogue(tmp_path, index) == first
-    assert json.loads(index.read_bytes())["models"]
-
-
 def test_no_archives_no_models(tmp_path):
-    assert read_catalogue(tmp_path / "nothing", tmp_path / "index.json") == {}
+    assert read_catalogue(tmp_path / "nothing") == {}
 
 
 @pytest.mark.parametrize(
@@ -152,3 +142,85 @@ def test_slugs_are_unique_plain_and_depend_on_what_came_before_only(pairs):
     assert len(set(slugs)) == len(slugs)
     assert all(slug and slug == slugify(slug) for slug in slugs)
     assert [m.slug for m in with_slugs(models[: len(models) // 2])] == slugs[: len(models) // 2]
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        (b"name#1=Armchair", {"name#1": "Armchair"}),
+        (b"  name : Chair \n", {"name": "Chair "}),
+        (b"name Chair", {"name": "Chair"}),
+        (b"# a=b\n! c=d\n\nempty=\nalone", {"empty": "", "alone": ""}),
+        (b"a=one, \\\n   two\\\r\n  three", {"a": "one, twothree"}),
+        (b"path=c\\:\\\\x\\ty", {"path": "c:\\x\ty"}),
+        (b"a\\=b\\ c=d", {"a=b c": "d"}),
+        (b"caf\xe9=\\u00e9\\u20AC", {"café": "é€"}),
+        (b"a=1\na=2", {"a": "2"}),
+        (b"a=x\\\\\nb=y", {"a": "x\\", "b": "y"}),
+        (b"a=b=c:d", {"a": "b=c:d"}),
+        (b"", {}),
+    ],
+)
+def test_reads_javas_rules(text, expected):
+    assert parse_properties(text) == expected
+
+
+def escape(text, key):
+    out = []
+    for index, character in enumerate(text):
+        if character in "\\=:#!" or (character == " " and (key or index == 0)):
+            out.append("\\" + character)
+        elif character in "\t\n\r\f":
+            out.append({"\t": "\\t", "\n": "\\n", "\r": "\\r", "\f": "\\f"}[character])
+        elif " " <= character <= "~":
+            out.append(character)
+        else:
+            out.append(f"\\u{ord(character):04x}")
+    return "".join(out)
+
+
+words = st.text(st.characters(max_codepoint=0xFFFF, exclude_categories=["Cs"]), max_size=12)
+
+
+@given(st.dictionaries(words, words, max_size=6))
+def test_reads_back_what_java_would_write(values):
+    text = "\n".join(f"{escape(key, True)}={escape(value, False)}" for key, value in values.items())
+    assert parse_properties(text.encode("latin-1")) == values
+
+
+@given(st.binary(max_size=200))
+def test_no_bytes_break_it(data):
+    assert all(isinstance(value, str) for value in parse_properties(data).values())
+
+
+def test_every_model_of_the_table_is_in_the_library(library: Library) -> None:
+    there = {entry.name for entry in library.entries()}
+    missing = [mesh for meshes in kinds().values() for mesh in meshes if mesh not in there]
+    assert missing == []
+
+
+def test_a_model_has_one_kind() -> None:
+    counts = Counter(mesh for meshes in kinds().values() for mesh in meshes)
+    assert [mesh for mesh, count in counts.items() if count > 1] == []
+
+
+def test_kind_of_a_mesh() -> None:
+    assert kind_of("furniture/couch") == "sofa"
+    assert kind_of("primitive/cube") is None
+    assert kind_of("couch") is None, "a mesh is named with its folder"
+
+
+@pytest.mark.parametrize("name", ["grand-piano", "soccer-ball", "desk"])
+def test_a_mesh_has_its_catalogue_size_in_all_three_directions(name: str) -> None:
+    [entry] = [one for one in LIBRARY.entries() if one.name == f"furniture/{name}"]
+    assert entry.size is not None
+    width, depth, height = entry.size
+    mesh = LIBRARY.mesh(entry.name)
+    assert mesh.centimetres is not None
+    points = np.concatenate([part.vertices[part.faces].reshape(-1, 3) for part in mesh.parts])
+    extent = (points.max(axis=0) - points.min(axis=0)) * mesh.centimetres
+    assert extent == pytest.approx([width, height, depth], rel=1e-3)
+
+
+def test_a_primitive_has_no_real_size() -> None:
+    assert LIBRARY.mesh("primitive/sphere").centimetres is None

@@ -12,7 +12,7 @@ from PIL import Image
 from services.errors import InvalidRequest
 from services.scenes.bundle import unpack_archive
 from services.scenes.environment import read_map
-from services.scenes.reading.companion_files import Beside
+from services.scenes.reading.companion_files import CompanionFiles
 from services.scenes.reading.formats import read_mesh
 from services.scenes.reading.process import SMALL_EXR, exported
 
@@ -69,7 +69,7 @@ def test_a_damaged_texture_is_described_in_words() -> None:
     files = {"a.mtl": b"newmtl m\nmap_Kd t.jpg\n", "t.jpg": buffer.getvalue()[:1500]}
     obj = b"mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nusemtl m\nf 1/1 2/1 3/1\n"
     with pytest.raises(InvalidRequest) as raised:
-        read_mesh(obj, "obj", 10, Beside(files, "obj", obj))
+        read_mesh(obj, "obj", 10, CompanionFiles(files, "obj", obj))
     assert raised.value.detail == "it cannot be shown: a texture or its coordinates are damaged, or cut off"
 
 

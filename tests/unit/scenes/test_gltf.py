@@ -3,11 +3,13 @@
 import json
 import struct
 from collections.abc import Callable
+from io import BytesIO
 from math import cos, pi, sin
 from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from benchmarks.gltf_models import MODELS, Writer, checks, sphere
 from services.errors import InvalidRequest
@@ -224,6 +226,12 @@ def required(name: str) -> Callable[[Writer], None]:
     return lambda writer: writer.tree.update(extensionsUsed=[name], extensionsRequired=[name])
 
 
+def primitive(writer: Writer) -> dict[str, Any]:
+    first: dict[str, Any] = writer.tree["meshes"][0]["primitives"][0]
+    return first
+
+
+FIRST = "meshes[0].primitives[0]"
 INNER = "materials[0].pbrMetallicRoughness"
 BAD: dict[str, tuple[Writer, str]] = {
     "metallic beyond 1": (one({"pbrMetallicRoughness": {"metallicFactor": 1.5}}), f"{INNER}.metallicFactor is 1.5"),
@@ -250,6 +258,23 @@ BAD: dict[str, tuple[Writer, str]] = {
     "scale": (one(edit=lambda w: w.tree["nodes"][0].update(scale=[1, float("nan"), 1])), "nodes[0].scale is nan"),
     "own ancestor": (one(edit=lambda w: w.tree["nodes"][0].update(children=[0])), "its nodes are not a tree"),
     "flat": (one(edit=lambda w: w.tree["nodes"][0].update(scale=[0, 0, 1])), "area"),
+    "no positions": (
+        one(edit=lambda w: primitive(w)["attributes"].pop("POSITION")),
+        f"{FIRST} has no attributes.POSITION",
+    ),
+    "no attributes": (one(edit=lambda w: primitive(w).pop("attributes")), f"{FIRST} has no attributes.POSITION"),
+    "no primitive": (one(edit=lambda w: w.tree["meshes"][0].update(primitives=[None])), f"{FIRST} is not an object"),
+    "no list": (one(edit=lambda w: w.tree["meshes"][0].update(primitives={})), "meshes[0].primitives is not a list"),
+    "mode": (one(edit=lambda w: primitive(w).update(mode="triangles")), f"{FIRST}.mode is 'triangles'"),
+    "no count": (one(edit=lambda w: w.tree["accessors"][0].pop("count")), "accessors[0].count is None"),
+    "a list as a type": (one(edit=lambda w: w.tree["accessors"][0].update(type=["VEC3"])), "accessors[0] has the type"),
+    "a list as a component": (one(edit=lambda w: w.tree["accessors"][0].update(componentType=[5126])), "accessors[0]"),
+    "numbers as indices": (one(edit=lambda w: primitive(w).update(indices=[0, 1, 2])), "accessors[[0, 1, 2]]"),
+    "a list as a material": (one(edit=lambda w: primitive(w).update(material=[0])), "materials[[0]]"),
+    "no mesh": (one(edit=lambda w: w.tree.update(meshes=[None])), "meshes[0] is not an object"),
+    "no view": (one(edit=lambda w: w.tree.update(bufferViews=[None, None])), "bufferViews[0] is not an object"),
+    "no children": (one(edit=lambda w: w.tree["nodes"][0].update(children=1)), "nodes[0].children is not a list"),
+    "roots": (one(edit=lambda w: w.tree["scenes"][0].update(nodes=0)), "scenes[0].nodes is not a list"),
 }
 
 
@@ -260,6 +285,7 @@ def test_what_is_wrong_is_named(case: str) -> None:
         read(writer)
     assert error.value.field == "file"
     assert words in error.value.detail
+    assert "Error" not in error.value.detail
 
 
 def test_textures_want_their_coordinates() -> None:
@@ -292,3 +318,15 @@ def test_a_glb_without_a_binary_chunk_is_refused() -> None:
     data = b"glTF" + struct.pack("<IIII", 2, 20 + len(text), len(text), 0x4E4F534A) + text
     with pytest.raises(InvalidRequest, match=r"beyond its buffer|more than the file holds"):
         read_mesh(data, "glb", MANY)
+
+
+@pytest.mark.parametrize(("grey", "kind"), [(20_000, np.uint16), (78, np.uint8)])
+def test_a_grey_texture_keeps_its_grey(grey: int, kind: type[np.generic]) -> None:
+    """Pillow clips it to white: 20,000 of 65,535 is grey 78 of 255."""
+    stored = BytesIO()
+    Image.fromarray(np.full((4, 4), grey, kind)).save(stored, "PNG")
+    writer = one({}, texture_of(stored.getvalue()), TEXCOORD_0=[[0, 0]] * 3)
+    [part] = read(writer)
+    assert part.metallic_roughness is not None
+    [texture] = part.metallic_roughness.maps.values()
+    assert (texture.texels == (78, 78, 78, 255)).all()

@@ -21,7 +21,7 @@ def test_the_meshes_that_were_not_used_for_longest_go(tmp_path: Path) -> None:
     for age, file in enumerate(files):
         save_parts(file, (PART,))
         os.utime(file, (1000 + age, 1000 + age))
-    (tmp_path / "catalogue.json").write_text("{}")
+    (tmp_path / "other.json").write_text("{}")
     assert load_parts(files[0]) is not None  # used again: now the youngest
     size = files[0].stat().st_size
     limit(tmp_path, 3 * size)
@@ -29,5 +29,5 @@ def test_the_meshes_that_were_not_used_for_longest_go(tmp_path: Path) -> None:
     limit(tmp_path, 2 * size)
     assert [file.exists() for file in files] == [True, False, True]
     limit(tmp_path, 0)
-    assert [path.name for path in tmp_path.iterdir()] == ["catalogue.json"]
+    assert [path.name for path in tmp_path.iterdir()] == ["other.json"]
     limit(tmp_path / "there is no such folder", 0)

@@ -1,15 +1,28 @@
-"""The description of a CLEVR scene: its geometry in our world, its colours, its camera."""
+"""A record as a scene's description, one that a request gives, and one read back after an attack."""
 
 from itertools import product
-from math import cos, pi, radians, sin
+from math import cos, degrees, pi, radians, sin
+from typing import Any
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
+from services.errors import InvalidRequest
 from services.scenes.clevr import description
-from services.scenes.clevr.description import describe, rig_of
+from services.scenes.clevr.description import (
+    Generate,
+    describe,
+    nearest_color,
+    other_readings,
+    record_after,
+    rig_after,
+    rig_of,
+    scene_of,
+)
 from services.scenes.clevr.generator import generate
-from services.scenes.clevr.records import RGB, CameraRecord, Rig
+from services.scenes.clevr.records import RGB, CameraRecord, Rig, SceneRecord, relationships
+from services.scenes.description import Scene
 from services.scenes.primitives import primitive
 from services.scenes.view import camera_to_world, model_matrix
 
@@ -105,3 +118,179 @@ def test_the_floor_fills_the_frame_of_every_camera() -> None:
             assert ray[1] < 0
             floor = pose[:3, 3] - ray * pose[1, 3] / ray[1]
             assert abs(floor[[0, 2]]).max() < description.FLOOR_SIZE / 2
+
+
+RECORD = generate(3, 1, objects=(4, 4))
+
+
+def changed(k: int, **values: Any) -> SceneRecord:
+    """RECORD with other values of object k, read anew."""
+    data = RECORD.model_dump(mode="json")
+    data["objects"][k] |= values
+    return SceneRecord.model_validate(data)
+
+
+def test_a_generated_scene_is_that_of_the_generator() -> None:
+    asked = Generate(seed=3, index=1, objects=4)
+    assert asked.record() == RECORD
+    assert len(asked.model_copy(update={"objects": 9}).record().objects) == 9
+    for objects in (0, 11):
+        with pytest.raises(ValidationError):
+            Generate(objects=objects)
+
+
+def test_more_than_fit_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("services.scenes.clevr.generator.REACH", 0.5)  # a plane on which no three fit
+    monkeypatch.setattr("services.scenes.clevr.generator.RESTARTS", 3)
+    with pytest.raises(InvalidRequest, match="do not fit") as refused:
+        Generate(objects=9).record()
+    assert refused.value.field == "generate.objects"
+
+
+def test_a_record_becomes_its_description() -> None:
+    assert scene_of(RECORD) == describe(RECORD)
+
+
+def test_objects_that_float_or_overlap_or_leave_the_frame_are_refused() -> None:
+    x, y, z = RECORD.objects[0].coords_3d
+    there = RECORD.objects[1].coords_3d
+    cases = [
+        (changed(0, coords_3d=(x, y, z + 0.5)), "record.objects.0", "floats above the plane by 0.5"),
+        (changed(0, coords_3d=(there[0] + 0.1, there[1], z)), "record.objects.1", "overlaps object 0"),
+        (changed(2, coords_3d=(40.0, 0.0, RECORD.objects[2].coords_3d[2])), "record.objects.2", "inside the frame"),
+    ]
+    for record, field, words in cases:
+        with pytest.raises(InvalidRequest, match=words) as refused:
+            scene_of(record)
+        assert refused.value.field == field
+
+
+def test_relations_must_be_those_of_the_places() -> None:
+    data = RECORD.model_dump(mode="json")
+    left = data["relationships"]["left"]
+    k = next(k for k, row in enumerate(left) if row)
+    left[k] = left[k][1:]
+    with pytest.raises(InvalidRequest, match="by their places") as refused:
+        scene_of(SceneRecord.model_validate(data))
+    assert refused.value.field == f"record.relationships.left.{k}"
+
+
+def test_a_scene_has_objects_and_directions() -> None:
+    empty = RECORD.model_copy(update={"objects": ()})
+    with pytest.raises(InvalidRequest, match="1 to 10"):
+        scene_of(empty)
+    blind = RECORD.model_copy(update={"directions": {"left": (1.0, 0.0, 0.0)}})
+    with pytest.raises(InvalidRequest, match="no direction of right"):
+        scene_of(blind)
+
+
+def towards(*, camera: bool = True, **changes: tuple[float, float, float]) -> SceneRecord:
+    """RECORD with other directions, and with the relations that its places have along them."""
+    data = RECORD.model_dump(mode="json")
+    data["directions"] |= changes
+    data["relationships"] = relationships([one.coords_3d for one in RECORD.objects], data["directions"])
+    if not camera:
+        del data["camera"], data["lights"]
+    return SceneRecord.model_validate(data)
+
+
+@pytest.mark.parametrize("camera", [True, False])
+def test_directions_must_be_those_of_the_camera(camera: bool) -> None:
+    """Else what is right by the record is not what the image shows."""
+    left, right = RECORD.directions["left"], RECORD.directions["right"]
+    x, y, z = left
+    cases = [
+        ({"left": right, "right": left}, "left"),
+        ({"left": (0.0, 0.0, 0.0)}, "left"),
+        ({"right": (5 * right[0], 5 * right[1], 0.0)}, "right"),
+    ]
+    for changes, name in cases:
+        with pytest.raises(InvalidRequest, match="it is") as refused:
+            scene_of(towards(camera=camera, **changes))
+        assert refused.value.field == f"record.directions.{name}"
+    assert scene_of(towards(camera=camera, left=(x + 1e-4, y - 1e-4, z)))  # as exact as official files are
+
+
+def test_a_camera_and_lights_are_given_together() -> None:
+    """One alone would not be used, and the image would be another than the sender meant."""
+    for absent in ("camera", "lights"):
+        with pytest.raises(InvalidRequest, match="or leave out both") as refused:
+            scene_of(RECORD.model_copy(update={absent: None}))
+        assert refused.value.field == f"record.{absent}"
+
+
+ATTACKED = [generate(21, k, objects=(5, 8)) for k in range(4)]
+
+
+def moved(scene: Scene, k: int, **changes: object) -> Scene:
+    """The scene with other values of object k."""
+    objects = list(scene.objects)
+    objects[k] = objects[k].model_copy(update=changes)
+    return scene.model_copy(update={"objects": tuple(objects)})
+
+
+def seen(scene: Scene) -> dict[str, list[list[int]]]:
+    """The relations of a description's objects along its camera's axes."""
+    pose = camera_to_world(scene.camera)
+    right, towards = pose[:3, 0], pose[:3, 2]
+    away = -np.array([towards[0], 0.0, towards[2]]) / np.hypot(towards[0], towards[2])
+    centres = np.array([one.translation for one in scene.objects])
+    offsets = {
+        name: (centres[None] - centres[:, None]) @ along
+        for name, along in (("right", right), ("left", -right), ("behind", away), ("front", -away))
+    }
+    return {name: [list(np.flatnonzero(row > 0.2)) for row in rows] for name, rows in offsets.items()}
+
+
+def stated(record: SceneRecord) -> dict[str, list[list[int]]]:
+    return {name: [list(row) for row in rows] for name, rows in record.relationships.items()}
+
+
+@pytest.mark.parametrize("record", ATTACKED, ids=lambda record: str(record.image_index))
+def test_an_unchanged_scene_has_its_record(record: SceneRecord) -> None:
+    found = record_after(record, describe(record))
+    assert stated(found) == stated(record)
+    for old, new in zip(record.objects, found.objects, strict=True):
+        assert (new.shape, new.size, new.material, new.color) == (old.shape, old.size, old.material, old.color)
+        assert new.coords_3d == old.coords_3d
+        assert new.pixel_coords[:2] == old.pixel_coords[:2]
+        assert new.rotation == pytest.approx(old.rotation)
+
+
+def test_a_colour_is_the_nearest_of_the_eight() -> None:
+    random = np.random.default_rng(0)
+    names, colors = list(RGB), np.array(list(RGB.values())) / 255
+    for color in random.uniform(0, 1, (200, 3)):
+        distances = np.linalg.norm(colors - color, axis=1)
+        assert nearest_color(tuple(color)) == names[int(distances.argmin())]
+        about_as_near = {name for name, far in zip(names, distances, strict=True) if far < 2 * distances.min()}
+        assert {nearest_color(tuple(color)), *other_readings(tuple(color))} == about_as_near
+
+
+@pytest.mark.parametrize("record", ATTACKED, ids=lambda record: str(record.image_index))
+def test_relations_follow_places_and_camera(record: SceneRecord) -> None:
+    random = np.random.default_rng(record.image_index)
+    scene = describe(record)
+    for k in range(len(record.objects)):
+        x, y, z = scene.objects[k].translation
+        scene = moved(scene, k, translation=(x + random.uniform(-2, 2), y, z + random.uniform(-2, 2)))
+    assert stated(record_after(record, scene)) == seen(scene) != stated(record)
+    turned = scene.model_copy(
+        update={"camera": scene.camera.model_copy(update={"azimuth": scene.camera.azimuth + 0.7})}
+    )
+    assert stated(record_after(record, turned)) == seen(turned) != seen(scene)
+
+
+def test_the_rig_is_where_the_description_s_camera_is() -> None:
+    record = ATTACKED[0]
+    scene = describe(record)
+    camera = scene.camera.model_copy(update={"azimuth": 2.0, "elevation": 0.3, "distance": 9.0})
+    place = camera_to_world(camera)[:3, 3]
+    assert rig_after(record, camera).camera == pytest.approx((place[0], -place[2], place[1]))
+    assert rig_after(record, scene.camera).camera == pytest.approx(rig_of(record).camera)
+
+
+def test_a_turn_is_about_the_vertical_axis() -> None:
+    record = ATTACKED[1]
+    scene = moved(describe(record), 0, rotation=(0.0, 0.5, 0.0))
+    assert record_after(record, scene).objects[0].rotation == pytest.approx(degrees(0.5))
