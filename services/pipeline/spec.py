@@ -264,7 +264,7 @@ def check_labels(goal: Goal, targets: Iterable[TargetChoice]) -> None:
         if choice.name in TARGETS and not choice.questions:
             target = TARGETS[choice.name]
             try:
-                asked_goal(goal, target.info, labels(choice.name, target))
+                asked_goal(goal, target.info, labels(choice.name))
             except InvalidRequest as error:
                 if error.field != "target.name":
                     raise unknown_parts("goal", error.every, "goal", goal.model_dump()) from error

@@ -6,7 +6,6 @@ such a text says is then missing in its program, or is there twice.
 
 import re
 from collections import Counter
-from collections.abc import Sequence
 from typing import Any
 
 from services.errors import InvalidRequest
@@ -63,11 +62,6 @@ def encoded(text: str) -> list[int]:
         if token.lower() not in _INDEX:
             raise UnknownWord(token, index)
     return [_INDEX[token.lower()] for token in words]
-
-
-def decoded(indices: Sequence[int]) -> list[str]:
-    """Returns the words at these indices of WORDS."""
-    return [WORDS[index] for index in indices]
 
 
 _NAMES = {name: value for value, names in SYNONYMS.items() for name in names}

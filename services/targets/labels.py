@@ -14,7 +14,7 @@ from typing import TypedDict
 
 from services.errors import InvalidRequest, JobFailure, out_of_memory, printable, summary
 from services.scenes.furniture import PREFIX, kind_of
-from services.targets.info import LONGEST_LABEL, RegisteredTarget, TargetInfo
+from services.targets.info import LONGEST_LABEL, TargetInfo, known
 
 
 @lru_cache(maxsize=1)
@@ -28,13 +28,15 @@ _SHOWN = 400
 """Characters of a target's own error that a message shows; torch lists every weight that is missing."""
 
 
-def labels(name: str, known: RegisteredTarget) -> tuple[str, ...]:
+def labels(name: str) -> tuple[str, ...]:
     """Returns the labels of a target without loading it.
 
-    Raises InvalidRequest("target.name") if they cannot be listed, are no text that can be printed, or are not unique.
+    Raises InvalidRequest("target.name") for an unknown target, and for labels that cannot be listed, are no text that
+    can be printed, or are not unique.
     """
+    target = known(name)
     try:
-        names = tuple(known.labels())
+        names = tuple(target.labels())
     except (Exception, SystemExit) as error:
         raise refused(name, f"cannot list its labels: {in_words(name, error)}") from error
     for label in names:

@@ -12,12 +12,11 @@ from torch import Tensor
 
 from services.errors import InvalidRequest
 from services.process import finite
-from services.targets import labels as listing
-from services.targets.info import TARGETS, TargetInfo, available, known, register
-from services.targets.labels import in_words, refused
+from services.targets.info import TARGETS, TargetInfo, known, register
+from services.targets.labels import in_words, labels, refused
 from services.targets.protocol import QuestionTarget, Target
 
-__all__ = ["TargetInfo", "available", "card", "has_gradient", "labels", "load", "no_gradient", "registered"]
+__all__ = ["ANY_QUESTION", "card", "has_gradient", "labels", "load", "no_gradient", "registered", "with_question"]
 
 ANY_QUESTION = "What is this?"
 """The question to a target whose card has no example of one."""
@@ -26,14 +25,6 @@ _REPEATED = 0.01
 bits of a sum; dropout, or batch normalisation over the batch, changes far more."""
 _SUM = 1e-4
 """Largest difference between 1 and the sum of float32 probabilities."""
-
-
-def labels(name: str) -> tuple[str, ...]:
-    """Returns the labels of a target, without loading it.
-
-    Raises InvalidRequest("target.name") for an unknown name, and for labels that cannot be listed or are not unique.
-    """
-    return listing.labels(name, known(name))
 
 
 def card(name: str) -> TargetInfo:

@@ -19,6 +19,7 @@ TETRAHEDRON = b"OFF\n4 4 6\n0 0 0\n1 0 0\n0 1 0\n0 0 1\n3 0 2 1\n3 0 1 3\n3 0 3 
         ("furniture/grand-pianoo", "furniture/grand-piano"),
         ("grand-piano", "furniture/grand-piano"),
         ("primitive/spere", "primitive/sphere"),
+        ("Cube", "primitive/cube"),
     ],
 )
 def test_an_unknown_mesh_gets_close_matches(library, name, match):
@@ -29,11 +30,15 @@ def test_an_unknown_mesh_gets_close_matches(library, name, match):
     assert repr(match) in error.value.detail
 
 
-@pytest.mark.parametrize(
-    "name", ["", "/", "furniture/", "../../etc/passwd", "sha256:" + "0" * 64, "sha256:../x", "%00"]
-)
+@pytest.mark.parametrize("name", ["", "/", "furniture/", "../../etc/passwd", "sha256:../x", "%00"])
 def test_other_names_are_unknown(library, name):
     with pytest.raises(InvalidRequest, match="there is no mesh"):
+        library.mesh(name)
+
+
+@pytest.mark.parametrize("name", ["torus.obj", "sha256:1234", "sha256:" + "0" * 64])
+def test_a_name_that_is_close_to_none_is_answered_by_how_meshes_are_named(library, name):
+    with pytest.raises(InvalidRequest, match=r"there is no mesh .*; a mesh is furniture/<slug>, primitive/<name>, or"):
         library.mesh(name)
 
 
@@ -86,17 +91,6 @@ def test_environment_maps(library):
 def test_the_sky_is_up(library):
     small = average(library.environment("courtyard").radiance, 2, 1)
     assert small[0].mean() > 1.5 * small[1].mean()
-
-
-def test_a_mesh_without_its_folder_is_suggested(library):
-    with pytest.raises(InvalidRequest, match=r"there is no mesh 'Cube'; did you mean 'primitive/cube'\?$"):
-        library.mesh("Cube")
-
-
-@pytest.mark.parametrize("name", ["torus.obj", "sha256:1234", "sha256:" + "0" * 64])
-def test_a_name_that_is_close_to_none_is_answered_by_how_meshes_are_named(library, name):
-    with pytest.raises(InvalidRequest, match="a mesh is furniture/<slug>, primitive/<name>, or the sha256:"):
-        library.mesh(name)
 
 
 def test_an_unknown_map_gets_close_matches(library):

@@ -99,16 +99,6 @@ def test_a_file_that_names_others_is_taken_and_said_to_lack_them(tmp_path, data,
     assert library.entries(category="upload") == [entry]
 
 
-def test_an_upload_stored_before_there_were_notes_is_read(tmp_path):
-    library = Library(tmp_path / "cache", tmp_path / "data")
-    entry = library.add_mesh(BOXES["stl"], "stl")
-    path = tmp_path / "data" / "assets" / f"{entry.name.removeprefix('sha256:')}.json"
-    stored = json.loads(path.read_bytes())
-    del stored["notes"]
-    path.write_text(json.dumps(stored))
-    assert library.entries(category="upload") == [entry]
-
-
 def test_a_deleted_processed_mesh_is_made_again(tmp_path):
     entry = Library(tmp_path / "cache", tmp_path / "data").add_mesh(BOXES["ply"], "ply")
     before = Library(tmp_path / "cache", tmp_path / "data").mesh(entry.name)
