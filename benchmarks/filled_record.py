@@ -8,7 +8,7 @@ from sqlalchemy.orm import Session
 
 from services.jobs.database import connect
 from services.jobs.models import Job, State, listed, listed_outcome
-from services.jobs.scheduler import ANY_WORKER
+from services.jobs.scheduler import Needs
 from services.pipeline.spec import parse
 from services.settings import Settings
 
@@ -33,7 +33,7 @@ def fill(settings: Settings, jobs: int, rows: int = 0, seed: int = 7) -> None:
             spec, at = kinds[number % len(kinds)], began + timedelta(seconds=number)
             ended = {} if number % 20 == 0 else _failed(at) if number % 20 < 3 else _succeeded(at, chance, result)
             about = {"state": State.QUEUED, "created_at": at, "queued_at": at, "seed": 0, "events": 1} | ended
-            about |= {"needs": ANY_WORKER.text, "warnings": []}
+            about |= {"needs": Needs().text, "warnings": []}
             session.add(Job(id=f"{chance.getrandbits(128):032x}", spec=spec, **listed(spec), **about))
             if number % 500 == 0:
                 session.flush()

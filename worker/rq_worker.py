@@ -65,28 +65,20 @@ class Runner:
         self._child: Child | None = None
         self._jobs = 0
         self._memory = 0
-        self._stopping = False
-        self._abilities = NOTHING
-
-    @property
-    def stopping(self) -> bool:
+        self.stopping = False
         """Whether the worker was asked to stop."""
-        return self._stopping
+        self.abilities = NOTHING
+        """Abilities of the job process, known once it has been ready."""
 
     def request_stop(self) -> None:
         """Makes `run` queue a running job again and return. May be called in a signal handler."""
-        self._stopping = True
+        self.stopping = True
 
     def close(self) -> None:
         """Kills the job process."""
         if self._child is not None:
             self._child.kill()
             self._child = None
-
-    @property
-    def abilities(self) -> Abilities:
-        """Abilities of the job process, known once it has been ready."""
-        return self._abilities
 
     def ensure_ready(self) -> None:
         """Starts the job process, or replaces it, if needed, and waits until it is warm. Raises ChildDied."""
@@ -100,14 +92,14 @@ class Runner:
             while (ready := child.receive(POLL_SECONDS)) is None:
                 processes.say_alive()
                 hangs = child.idle_seconds() > self._settings.stall_seconds
-                if self._stopping or hangs or time.monotonic() - started > START_SECONDS:
+                if self.stopping or hangs or time.monotonic() - started > START_SECONDS:
                     self.close()
                     raise ChildDied
         except OutOfMemory as error:
             self.close()
             raise ChildDied from error
         self._jobs, self._memory = 0, child.memory()
-        self._abilities = Abilities(**ready["abilities"])
+        self.abilities = Abilities(**ready["abilities"])
         log.info("job process ready", pid=child.pid, seconds=round(time.monotonic() - started, 2))
 
     def _needs_replacement(self) -> bool:
@@ -150,7 +142,7 @@ class Runner:
 
     def _lease(self, priority: Priority) -> Attempt | None:
         for _ in range(TURNS):
-            job_id = self._record.scheduler.next_job(priority, self._abilities)
+            job_id = self._record.scheduler.next_job(priority, self.abilities)
             if job_id is None:
                 return None
             attempt = self._record.leases.lease(job_id, self._owner, self._settings.lease_seconds)
@@ -167,7 +159,7 @@ class Runner:
         while (answer := child.receive(POLL_SECONDS)) is None:
             now = time.monotonic()
             processes.say_alive()
-            if self._stopping:
+            if self.stopping:
                 self.close()
                 self._record.leases.give_back(attempt)
                 log.info("job given back", job=attempt.job_id)
@@ -205,7 +197,7 @@ class Runner:
     def _put_off(self, attempt: Attempt, outage: str) -> None:
         """Queues a job again whose attempt was ended by an outage. It counts only if the outage cannot be seen."""
         unseen = self.usable()
-        while not self._stopping:
+        while not self.stopping:
             processes.say_alive()
             try:
                 if unseen:

@@ -15,7 +15,7 @@ from math import degrees
 from typing import Any
 from uuid import uuid4
 
-from sqlalchemy import func, select, tuple_, update
+from sqlalchemy import ColumnElement, func, select, tuple_, update
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session, defer, undefer
 
@@ -49,6 +49,7 @@ from services.pipeline.result import Result
 ENDED_SECONDS = 60.0
 """Time after which an owner with too many campaigns may try again."""
 _OPEN = [state for state in CampaignState if not state.terminal]
+_ACTIVE = (CampaignState.SELECTING, CampaignState.RUNNING)
 
 
 @dataclass(frozen=True)
@@ -162,9 +163,8 @@ class Campaigns:
 
     def pause(self, campaign_id: str) -> Campaign | None:
         """Holds the campaign's queued jobs back; running jobs go on to their end. Returns it, or None if unknown."""
-        active = (CampaignState.SELECTING, CampaignState.RUNNING)
         with self._database.write() as session:
-            self._set(session, campaign_id, active, state=CampaignState.PAUSED, paused_at=now(session))
+            _change(session, campaign_id, _ACTIVE, state=CampaignState.PAUSED, paused_at=now(session))
             return session.get(Campaign, campaign_id)
 
     def resume(self, campaign_id: str) -> Campaign | None:
@@ -182,28 +182,13 @@ class Campaigns:
         Returns the campaign, or None if the id is unknown.
         """
         with self._database.write() as session:
-            if self._set(
-                session,
-                campaign_id,
-                _OPEN,
-                state=CampaignState.CANCELLED,
-                ended_at=now(session),
-                paused_at=None,
-            ):
+            ended = {"state": CampaignState.CANCELLED, "ended_at": now(session), "paused_at": None}
+            if _change(session, campaign_id, _OPEN, **ended):
                 own = (Job.campaign_id == campaign_id, Job.state.in_((State.QUEUED, State.RUNNING)))
                 for job_id in session.scalars(select(Job.id).where(*own).order_by(Job.id).with_for_update()).all():
                     if change_state(session, job_id, State.CANCELLED, [Job.state == State.QUEUED]) is None:
                         change_state(session, job_id, State.CANCELLING, [Job.state == State.RUNNING])
             return session.get(Campaign, campaign_id)
-
-    def _set(self, session: Session, campaign_id: str, states: Sequence[CampaignState], **values: Any) -> bool:
-        changed = (
-            update(Campaign)
-            .where(Campaign.id == campaign_id, Campaign.state.in_(states))
-            .values(**values)
-            .returning(Campaign.id)
-        )
-        return session.scalar(changed) is not None
 
     def progress(self, campaign_ids: Sequence[str]) -> dict[str, Progress]:
         """Returns the progress of each of these campaigns, by id."""
@@ -314,6 +299,14 @@ class Campaigns:
         return [(row.target, row.attack, row.attribution) for row in rows]
 
 
+def _change(
+    session: Session, campaign_id: str, states: Sequence[CampaignState], *where: ColumnElement[bool], **values: Any
+) -> bool:
+    """Changes a campaign that is in one of the states and meets the conditions. Returns whether there is such a one."""
+    meets = (Campaign.id == campaign_id, Campaign.state.in_(states), *where)
+    return session.scalar(update(Campaign).where(*meets).values(**values).returning(Campaign.id)) is not None
+
+
 def _first(session: Session, key: Key) -> Campaign | None:
     first = session.scalars(select(Campaign).where(Campaign.key == key.stored)).one_or_none()
     if first is not None and first.request_digest != key.digest:
@@ -363,7 +356,7 @@ class Feeder:
             active = list(
                 session.execute(
                     select(Campaign.id, Campaign.state)
-                    .where(Campaign.state.in_((CampaignState.SELECTING, CampaignState.RUNNING)))
+                    .where(Campaign.state.in_(_ACTIVE))
                     .order_by(Campaign.created_at, Campaign.id)
                 )
             )
@@ -431,8 +424,7 @@ class Feeder:
     def _fail(self, campaign_id: str, why: str) -> None:
         with self._database.write() as session:
             values = {"state": CampaignState.FAILED, "ended_at": now(session), "failure": why}
-            active = (Campaign.id == campaign_id, Campaign.state.in_((CampaignState.SELECTING, CampaignState.RUNNING)))
-            if session.scalar(update(Campaign).where(*active).values(values).returning(Campaign.id)) is None:
+            if not _change(session, campaign_id, _ACTIVE, **values):
                 return  # paused, or ended meanwhile
         log.warning("campaign failed", campaign=campaign_id, why=why)
 
@@ -469,8 +461,7 @@ class Feeder:
                 "selected_at": now(session),
                 "views": [view.model_dump(mode="json") for view in chosen],
             }
-            selecting = (Campaign.id == campaign_id, Campaign.state == CampaignState.SELECTING)
-            if session.scalar(update(Campaign).where(*selecting).values(values).returning(Campaign.id)) is None:
+            if not _change(session, campaign_id, [CampaignState.SELECTING], **values):
                 return  # paused or cancelled meanwhile, or planned by another supervisor
             if rows:
                 session.execute(CampaignJob.__table__.insert(), rows)  # type: ignore[attr-defined]
@@ -548,9 +539,8 @@ class Feeder:
         """Ends a campaign whose jobs have all ended."""
         left = select(CampaignJob.number).where(CampaignJob.campaign_id == campaign_id, ~CampaignJob.ended).exists()
         with self._database.write() as session:
-            done = (Campaign.id == campaign_id, Campaign.state == CampaignState.RUNNING, ~left)
             values = {"state": CampaignState.FINISHED, "ended_at": now(session)}
-            if session.scalar(update(Campaign).where(*done).values(values).returning(Campaign.id)) is not None:
+            if _change(session, campaign_id, [CampaignState.RUNNING], ~left, **values):
                 log.info("campaign finished", campaign=campaign_id)
 
 

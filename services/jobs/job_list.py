@@ -194,15 +194,13 @@ SORTS: dict[str, Any] = {
 }
 """Keys by which a list may be sorted, each with its column. A job without a value comes last, in both directions."""
 _COLUMNS: dict[str, InstrumentedAttribute[Any]] = {
-    "created": Job.created_at,
-    "ended": Job.ended_at,
-    "state": Job.state,
-    "outcome": Job.verdict,
+    **SORTS,
     "campaign": Job.campaign_id,
     "kind": Job.kind,
-    **{name: getattr(Job, name) for name in ("scene", "target", "question", "renderer", "method", "owner")},
-    **{name: getattr(Job, name) for name in ("p", "queries", "seconds")},
+    "question": Job.question,
+    "owner": Job.owner,
 }
+"""The columns of the other fields of a query; "name", "tag" and "verified" are read otherwise."""
 _COMPARE: dict[str, Callable[[Any, Any], ColumnElement[bool]]] = {
     "=": operator.eq,
     "<": operator.lt,

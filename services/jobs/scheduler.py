@@ -40,10 +40,6 @@ class Needs:
         return json.dumps([self.targets, self.device, self.memory])
 
 
-ANY_WORKER = Needs()
-"""The needs of a job that any worker may run."""
-
-
 @validated(frozen=True)
 class Demand:
     """Demand of a sender on the queue, for a job or a campaign. It is no part of the request and changes no result."""

@@ -8,7 +8,7 @@ from services.jobs.leases import Attempt
 from services.jobs.models import Job
 from services.jobs.queue import NAME, Queue, connect, reconcile
 from services.jobs.record import Record
-from services.jobs.scheduler import ANY_WORKER, Abilities, Demand, Needs, targets_of, why_waiting
+from services.jobs.scheduler import Abilities, Demand, Needs, targets_of, why_waiting
 from services.jobs.states import Priority
 from services.pipeline.spec import parse
 from tests.unit.jobs.conftest import Clock
@@ -39,7 +39,7 @@ def add(record: Record, owner: str = "", **asked: object) -> Job:
 @pytest.mark.parametrize(
     ("needs", "lacking"),
     [
-        (ANY_WORKER, None),
+        (Needs(), None),
         (Needs((LITE, "iep"), "cpu", 2**34), None),
         (Needs((LITE, "resnet")), "the network 'resnet'"),
         (Needs((LITE,), "cuda"), "the device cuda"),

@@ -1,16 +1,20 @@
-"""What the record knows of a mesh, on both databases."""
+"""Which uploaded meshes jobs refer to, and what the record knows of a mesh, on both databases."""
 
 from typing import Any
 
-from sqlalchemy import Engine
+from sqlalchemy import Engine, select
+from sqlalchemy.orm import Session
 
 from services.access.caller import OwnedAssets
 from services.jobs.database import Database
+from services.jobs.models import JobAsset
 from services.jobs.record import Record
 from services.jobs.uploads import AssetRecords, FirstAnswer
 from services.pipeline.result import Result, outcome
 from services.pipeline.spec import parse
 from tests.unit.api.dashboard_records import SPEC, result
+from tests.unit.jobs.conftest import Clock
+from tests.unit.jobs.records import add
 
 LITE = "efficientnet-lite0"
 
@@ -65,3 +69,14 @@ def test_jobs_on_an_upload_are_found_by_its_title_and_from_before_it_had_one(rec
     records = AssetRecords(Database(engine))
     assert {job.id for job in records.jobs(upload, 9, "")} == ids
     assert records.first_answers([upload], "") == {upload: [FirstAnswer(LITE, "grand piano", True, 2)]}
+
+
+FIRST = f"sha256:{'0a' * 32}"
+SCENE: dict[str, Any] = {"objects": [{"mesh": FIRST}, {"mesh": "primitive/sphere"}, {"mesh": FIRST}]}
+
+
+def test_a_job_refers_to_the_uploads_of_its_scene_and_not_to_its_words(engine: Engine, clock: Clock) -> None:
+    job = add(Record(engine, clock), parse({"scene": SCENE}))
+    add(Record(engine, clock), parse({"scene": {"objects": [{"mesh": "primitive/sphere"}]}}))
+    with Session(engine) as session:
+        assert session.execute(select(JobAsset.job_id, JobAsset.name)).all() == [(job.id, FIRST)]
