@@ -142,11 +142,10 @@ def _powers(ends: tuple[float, float]) -> list[float]:
 
 
 def differentiable(record: Record, target: str) -> str:
-    """Panels of one network: successes against queries and seconds, and the mean probability of the truth."""
+    """Panels of one network: successes against queries, and the mean probability of the truth."""
     cells, curves = _own(record, target)
     panels = (
-        _success(cells, f"{title(target)}: success against queries", "queries", _reached(cells, "by_queries"), 1.0),
-        _success(cells, "Success against seconds", "seconds", _reached(cells, "by_seconds"), 0.1),
+        _success(cells, f"{title(target)}: success against queries", "queries", _by_queries(cells), 1.0),
         _mean(curves, "Mean probability of the right answer", "over all cases", "loss", (0, 1)),
     )
     return figure(panels, [cell.attack for cell in cells])
@@ -161,7 +160,7 @@ def questions(record: Record, target: str) -> str:
     by_p = {attack: corners([1000 * (job.p or 0.0) for job in of]) for attack, of in own.items()}
     panels = (
         _success(cells, f"{title(target)}: success against steps", "step", by_step),
-        _success(cells, f"{title(target)}: success against queries", "queries", _reached(cells, "by_queries"), 1.0),
+        _success(cells, f"{title(target)}: success against queries", "queries", _by_queries(cells), 1.0),
         _success(cells, "Success against p", "p ×10⁻³", by_p),
     )
     return figure(panels, [cell.attack for cell in cells])
@@ -175,7 +174,7 @@ def nondifferentiable(record: Record, target: str) -> str:
     far = max((max(curve.distance) for curve in curves), default=1.0)
     sides = (bottom * 1.05, top * 1.05)
     panels = (
-        _success(cells, f"{title(target)}: success against queries", "queries", _reached(cells, "by_queries"), 1.0),
+        _success(cells, f"{title(target)}: success against queries", "queries", _by_queries(cells), 1.0),
         _mean(curves, "Mean log-probability advantage", "below 0: fooled", "advantage", sides),
         _mean(curves, "Mean distance of the image", "‖ΔY‖₂", "distance", (0, far * 1.05)),
     )
@@ -187,9 +186,9 @@ def _own(record: Record, target: str) -> tuple[list[Cell], list[MeanCurves]]:
     return cells, [curve for curve in record.curves if curve.target == target]
 
 
-def _reached(cells: Sequence[Cell], by: str) -> dict[str, Corners]:
-    """The corners of each attack's number of successes."""
-    return {cell.attack: getattr(cell, by) for cell in cells}
+def _by_queries(cells: Sequence[Cell]) -> dict[str, Corners]:
+    """The corners of each attack's number of successes against queries."""
+    return {cell.attack: cell.by_queries for cell in cells}
 
 
 def _success(cells: Sequence[Cell], name: str, unit: str, reached: Mapping[str, Corners], start: float = 0.0) -> Panel:

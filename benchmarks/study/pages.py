@@ -116,14 +116,11 @@ def foot(study: Study) -> str:
     for name, record in study.records.items():
         versions = ", ".join(f"{package} {number}" for package, number in record.versions.items())
         weights = ", ".join(f"{target} {digest[:12]}" for target, digest in record.weights.items())
-        seconds = sum(job.seconds or 0.0 for job in record.jobs)
         seeds = ", ".join(map(str, sorted({job.seed for job in record.jobs})))
         failed = sum(job.state != "succeeded" for job in record.jobs)
         blocks.append(
             f"- [{name}.json]({name}.json): `{record.command}`, seed {seeds}; {len(record.jobs):,} jobs, {failed} of "
-            f"them failed, {seconds / 3600:.1f} hours of attacks. {'; '.join(record.backends)}. {versions}. Weights "
-            f"{weights}. "
-            f"{record.machine}."
+            f"them failed. {'; '.join(record.backends)}. {versions}. Weights {weights}. {record.machine}."
         )
     return "\n".join(
         [*blocks, "", "`python -m benchmarks.study record FOLDER NAME` makes a record of a campaign's folder, "

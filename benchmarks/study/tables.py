@@ -30,7 +30,6 @@ BETWEEN = "\u00a0·\u00a0"
 """Stands between a rate and a p, which a line is not broken at."""
 OF = "\u00a0of\u00a0"
 QUERIES = (2, 5, 10, 30, 122)
-SECONDS = (0.3, 1, 3, 10)
 """Budgets at which successes are stated; 122 queries are those of 120 steps."""
 
 
@@ -137,22 +136,16 @@ def nondifferentiable(record: Record, task: str = CLASSIFICATION) -> str:
 
 
 def work(records: Sequence[Record]) -> str:
-    """Per cent of all cases that were fooled within so many queries, and within so many seconds."""
+    """Per cent of all cases that were fooled within each budget of queries."""
     rows = []
     for table in (record.table() for record in records):
         for target in ordered(table.targets):
             cells = [cell for cell in table.cells if cell.target == target and cell.success.of]
             for number, cell in enumerate(cells):
                 shares = [share_at(cell.by_queries, cell.success.of, budget) for budget in QUERIES]
-                shares += [share_at(cell.by_seconds, cell.success.of, budget) for budget in SECONDS]
                 name = f"**{title(target)}**" if number == 0 else ""
                 rows.append([name, cell.attack, str(cell.success.of), *(f"{100 * share:.0f}" for share in shares)])
-    heads = [
-        f"{QUERIES[0]} queries",
-        *map(str, QUERIES[1:]),
-        f"{SECONDS[0]} s",
-        *(f"{limit:g} s" for limit in SECONDS[1:]),
-    ]
+    heads = [f"{QUERIES[0]} queries", *map(str, QUERIES[1:])]
     return markdown(("network", "attack", "n", *heads), rows, texts=2)
 
 
