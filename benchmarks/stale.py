@@ -44,7 +44,6 @@ DEPENDS: dict[str, tuple[str, ...]] = {
     "benchmarks/results/attack_bounds.json": ("torch", LITE0),
     "benchmarks/results/gltf_materials.json": ("pyrender",),
     "benchmarks/results/jobs.json": (*BOTH, LITE0),
-    "benchmarks/results/mitsuba_clevr.json": BOTH,
     "benchmarks/results/peer_attacks.json": ("pyrender", LITE0),
     "benchmarks/results/service_record.json": (),
     "benchmarks/results/shading.json": ("torch",),
