@@ -4,6 +4,7 @@ The jobs are small enough to run many: attacks with and without gradients, on th
 """
 
 import random
+import signal
 import tempfile
 import threading
 import time
@@ -14,12 +15,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+import psutil
 from sqlalchemy import Engine, func, select
 from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.sql.elements import ColumnElement
 
-from benchmarks.chaos.counts import Client, counts, recoveries
-from benchmarks.chaos.faults import PATIENCE, RUNNING, Fault, hit, keep_away, plan
+from benchmarks.chaos.counts import Client, counts
 from benchmarks.chaos.service import DATABASE, Database, Postgresql, Service, Sqlite
 from services.jobs.database import connect
 from services.jobs.models import Job, State
@@ -86,16 +87,14 @@ def _run(load: Load, service: Service, database: Database, client: Client, engin
     sender.join(load.patience)
     _until(load, lambda: _ended(engine) - known >= load.jobs, engine)
     seconds = time.monotonic() - began
-    record = Record(engine)
-    return counts(client, record, ids, undisturbed) | {
+    return counts(client, Record(engine), ids, undisturbed) | {
         "database": database.name,
         "backend": client.job(ids[0])["result"]["provenance"]["backend"],
         "seconds": round(seconds, 1),
         "starts of the service": service.starts,
-        "faults": dict(sorted(Counter(f"{fault.kind} {fault.target}" for fault in faults).items())),
+        "faults": dict(sorted(faults.items())),
         "faults that met no process": missed,
         "refused or broken requests": dict(client.errors),
-        "recovery": recoveries(record, ids, faults),
     }
 
 
@@ -134,10 +133,12 @@ def _reference(load: Load, client: Client) -> tuple[list[dict[str, str]], float]
 
 def _hit_all(
     load: Load, service: Service, database: Database, engine: Engine, known: int, longest: float
-) -> tuple[list[Fault], int]:
-    """Hits the service until all faults are done, spread evenly over the jobs."""
+) -> tuple[Counter[str], int]:
+    """Hits the service until all faults are done, spread evenly over the jobs. Returns their number of each kind and
+    target, and the number of those that met no process.
+    """
     draw = random.Random(load.seed)
-    done: list[Fault] = []
+    done: Counter[str] = Counter()
     missed = 0
     planned = plan(load.kills, load.stops, load.seed, database.killed)
     away = {len(planned) // 2: "redis-server", 3 * len(planned) // 4: DATABASE} if load.away else {}
@@ -146,14 +147,14 @@ def _hit_all(
         _until(load, lambda due=due: _ended(engine) >= due, engine)  # type: ignore[misc]
         time.sleep(draw.uniform(0.1, load.pause))
         if number in away:
-            done.append(keep_away(service, database, away[number], 1.5 * longest))
+            keep_away(service, database, away[number], 1.5 * longest)
+            done[f"away {away[number]}"] += 1
         if target in RUNNING:
             _wait_for_a_step(engine)
-        fault = hit(service, database, kind, target, draw)
-        if fault is None:
-            missed += 1
+        if hit(service, database, kind, target, draw):
+            done[f"{kind} {target}"] += 1
         else:
-            done.append(fault)
+            missed += 1
     return done, missed
 
 
@@ -218,3 +219,66 @@ def requests(count: int, steps: int) -> list[dict[str, Any]]:
     """`count` requests, of each kind in turn."""
     kinds = mixed(steps)
     return [kinds[number % len(kinds)] for number in range(count)]
+
+
+RUNNING = ("worker.job_process", "worker.rq_worker")
+"""Processes that run jobs. They are hit while a job takes steps."""
+OTHERS = ("redis-server", "supervisor", "api.main", "services.jobs.warm_process")
+"""Other processes that can die: modules of the service, a program that it runs, and the supervisor, which is started
+again."""
+PATIENCE = 30.0
+"""Time in seconds to wait for a process that is to be hit: it may have been hit just before."""
+
+
+def plan(kills: int, stops: int, seed: int, of_database: tuple[str, ...] = ()) -> list[tuple[str, str]]:
+    """Faults as (kind, target) in a random order, each target about as often as any other. `of_database` names the
+    parts of the database that can be killed; it is always stopped as a whole.
+    """
+    draw = random.Random(seed)
+    faults = []
+    for kind, count, database in (("kill", kills, of_database), ("stop", stops, (DATABASE,))):
+        targets = (*RUNNING, *database, *OTHERS)
+        order = [targets[number % len(targets)] for number in range(count)]
+        faults += [(kind, target) for target in order]
+    draw.shuffle(faults)
+    return faults
+
+
+def hit(service: Service, database: Database, kind: str, target: str, draw: random.Random) -> bool:
+    """Kills (SIGKILL) or stops (SIGSTOP) one of the target's processes. Returns whether there was one before long."""
+    if target == DATABASE:
+        database.stop(draw)
+        return True
+    deadline = time.monotonic() + PATIENCE
+    while time.monotonic() < deadline:
+        met = database.kill(target, draw) if target in database.killed else _send(service, kind, target, draw)
+        if met:
+            return True
+        time.sleep(0.1)
+    return False
+
+
+def _send(service: Service, kind: str, target: str, draw: random.Random) -> bool:
+    living = service.processes(target)
+    if not living:
+        return False
+    try:
+        draw.choice(living).send_signal(signal.SIGKILL if kind == "kill" else signal.SIGSTOP)
+    except psutil.NoSuchProcess:
+        return False
+    return True
+
+
+def keep_away(service: Service, database: Database, target: str, seconds: float) -> None:
+    """Stops a program whenever it is started again, or the database, for `seconds`."""
+    deadline = time.monotonic() + seconds
+    if target == DATABASE:
+        database.keep_away(seconds)
+    while time.monotonic() < deadline:
+        for process in service.processes(target):
+            try:
+                if process.status() != psutil.STATUS_STOPPED:
+                    process.send_signal(signal.SIGSTOP)
+            except psutil.NoSuchProcess:
+                continue
+        time.sleep(0.05)
