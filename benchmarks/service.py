@@ -3,11 +3,6 @@
 start        Time from the request of a small job to its attack's beginning, for COUNT jobs one after another through
              one worker, and the resident memory of its processes. The first ten jobs are not timed. A worker replaces
              its job process after 200 jobs.
-submissions  COUNT jobs submitted eight at a time while a worker runs them; then every id that was answered is looked
-             for in the list.
-reads        COUNT requests a second for SECONDS while two workers run jobs. Two in three ask for a job, one for the
-             first 50 jobs. They begin at fixed moments, and a late one counts from when it should have begun.
-streams      COUNT event streams of one running job, and the memory of the process that serves them.
 record       Each operation on the record on the way of COUNT jobs through the service, beside 1,000 queued ones, with
              SQLite and with a PostgreSQL of its own; and what a service with one worker asks of PostgreSQL in SECONDS
              while it is idle and while a job runs. Transactions are counted by PostgreSQL, reads and writes alike.
@@ -21,7 +16,6 @@ written to results/service_WHAT.json. A short run: python -m benchmarks.service 
 """
 
 import argparse
-import asyncio
 import os
 import sys
 import tempfile
@@ -33,7 +27,6 @@ from pathlib import Path
 from statistics import median, quantiles
 from typing import Any, TypeVar
 
-import aiohttp
 import httpx
 import psycopg
 
@@ -77,7 +70,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", choices=list(MEASUREMENTS))
     parser.add_argument("--count", type=int, help="see above (default: " + _counts() + ")")
-    parser.add_argument("--seconds", type=float, default=20.0, help="how long reads and record last (default 20)")
+    parser.add_argument("--seconds", type=float, default=20.0, help="how long record lasts (default 20)")
     parser.add_argument("--out", type=Path, help="file of the result")
     options = parser.parse_args()
     measure, count = MEASUREMENTS[options.what]
@@ -121,102 +114,6 @@ def start(count: int, _seconds: float) -> dict[str, Any]:
             for module, sizes in memory.items()
         },
     }
-
-
-def submissions(count: int, _seconds: float) -> dict[str, Any]:
-    """Rate and milliseconds of submissions, and the number of jobs that were answered and are not in the list."""
-    taken, ids = list[float](), list[str]()
-
-    async def submit(numbers: Iterator[int], http: aiohttp.ClientSession) -> None:
-        for number in numbers:
-            began = time.perf_counter()
-            async with http.post("/v1/jobs", json=mixed(4)[0] | {"seed": number}) as answer:
-                ids.append((await answer.json())["id"])
-            taken.append(time.perf_counter() - began)
-
-    async def listed(http: aiohttp.ClientSession) -> set[str]:
-        result, query = set[str](), {"limit": "200"}
-        while True:
-            async with http.get("/v1/jobs", params=query) as answer:
-                page = await answer.json()
-            result |= {job["id"] for job in page["items"]}
-            if page.get("next") is None:
-                return result
-            query["cursor"] = page["next"]
-
-    async def all_of_them(url: str) -> tuple[float, set[str]]:
-        async with aiohttp.ClientSession(url, raise_for_status=True) as http:
-            began, numbers = time.perf_counter(), iter(range(count))
-            await asyncio.gather(*(submit(numbers, http) for _ in range(8)))
-            return time.perf_counter() - began, await listed(http)
-
-    with _served(workers=1, max_queued=count + 10) as (service, client):
-        _busy(client, 1)
-        took, ended = asyncio.run(all_of_them(service.url))
-    return {"jobs": count, "lost": len(set(ids) - ended), "a second": round(count / took, 1)} | _spread(taken)
-
-
-def reads(count: int, seconds: float) -> dict[str, Any]:
-    """Milliseconds of reads at a fixed rate."""
-    taken = list[float]()
-
-    async def all_of_them(url: str, running: list[str]) -> float:
-        began, numbers = time.perf_counter() + 1, iter(range(round(count * seconds)))
-
-        async def read() -> None:
-            for number in numbers:
-                due = began + number / count
-                await asyncio.sleep(due - time.perf_counter())
-                path = "/v1/jobs?limit=50" if number % 3 == 0 else f"/v1/jobs/{running[number % 2]}"
-                async with http.get(path) as answer:
-                    await answer.read()
-                taken.append(time.perf_counter() - due)
-
-        async with aiohttp.ClientSession(url, raise_for_status=True) as http:
-            await asyncio.gather(*(read() for _ in range(32)))
-        return time.perf_counter() - began
-
-    with _served(workers=2) as (service, client):
-        running = _busy(client, 2)
-        for number in range(200):
-            client.submit(mixed(4)[0] | {"seed": number}, f"read-{number}")
-        took = asyncio.run(all_of_them(service.url, running))
-    return {"a second": round(len(taken) / took, 1)} | _spread(taken)
-
-
-def streams(count: int, _seconds: float) -> dict[str, Any]:
-    """Memory of the process that serves streams, before and with them."""
-
-    async def all_of_them(service: Service, job_id: str) -> float:
-        opened = asyncio.Semaphore(0)
-
-        async def follow(http: aiohttp.ClientSession) -> None:
-            async with http.get(f"/v1/jobs/{job_id}/events") as answer:
-                await answer.content.readline()
-                opened.release()
-                async for _ in answer.content:
-                    pass
-
-        unlimited = aiohttp.TCPConnector(limit=0)
-        timeout = aiohttp.ClientTimeout(total=None)
-        async with aiohttp.ClientSession(
-            service.url, connector=unlimited, timeout=timeout, raise_for_status=True
-        ) as http:
-            followed = [asyncio.create_task(follow(http)) for _ in range(count)]
-            for _ in followed:
-                await opened.acquire()
-            await asyncio.sleep(5)
-            size = _mebibytes(service, "api.main")
-            for task in followed:
-                task.cancel()
-            await asyncio.gather(*followed, return_exceptions=True)
-        return size
-
-    with _served(workers=1) as (service, client):
-        [job_id] = _busy(client, 1)
-        before = _mebibytes(service, "api.main")
-        after = asyncio.run(all_of_them(service, job_id))
-    return {"streams": count, "MiB before": round(before), "MiB": round(after)}
 
 
 def record(count: int, seconds: float) -> dict[str, Any]:
@@ -278,9 +175,6 @@ def job_list(count: int, _seconds: float) -> dict[str, Any]:
 
 MEASUREMENTS: dict[str, tuple[Callable[[int, float], dict[str, Any]], int]] = {
     "start": (start, 90),
-    "submissions": (submissions, 10_000),
-    "reads": (reads, 300),
-    "streams": (streams, 500),
     "record": (record, 300),
     "workers": (workers, 120),
     "list": (job_list, 10_000),
