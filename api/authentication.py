@@ -7,7 +7,6 @@ else.
 import re
 from dataclasses import dataclass
 from re import Pattern
-from typing import Protocol
 from urllib.parse import urlencode
 
 from sqlalchemy.exc import SQLAlchemyError
@@ -19,10 +18,9 @@ from starlette.routing import compile_path
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from api.problems import problem
-from api.requests import Reading
+from api.requests import Services
 from services.access.caller import KEYLESS, Caller
 from services.access.caller import Scope as AccessScope
-from services.access.keys import AccessKeys, Sessions
 from services.addresses import is_loopback
 from services.logs import logger
 
@@ -30,6 +28,31 @@ OPEN = None
 """The rule of a route that needs no key."""
 
 _READ, _WRITE, _UPLOAD = AccessScope.JOBS_READ, AccessScope.JOBS_WRITE, AccessScope.ASSETS_WRITE
+
+PAGES = {
+    "GET /docs": _READ,
+    "GET /": _READ,
+    "POST /jobs/selected": _WRITE,
+    "GET /compare": _READ,
+    "GET /compare/campaigns": _READ,
+    "GET /jobs/{job_id}": _READ,
+    "POST /jobs/{job_id}/cancel": _WRITE,
+    "GET /new": _READ,
+    "POST /new": _WRITE,
+    "POST /jobs/{job_id}/about": _WRITE,
+    "POST /jobs/{job_id}/retry": _WRITE,
+    "POST /jobs/{job_id}/delete": _WRITE,
+    "POST /jobs/{job_id}/continue": _WRITE,
+    "GET /campaigns": _READ,
+    "GET /campaigns/{campaign_id}": _READ,
+    "POST /campaigns/{campaign_id}/{move}": _WRITE,
+    "GET /assets": _READ,
+    "POST /assets": _UPLOAD,
+    "GET /assets/{asset:path}": _READ,
+    "GET /targets": _READ,
+}
+"""The pages, as `RULES`. They send a browser without a session to sign in; the parts of pages answer 401 to the script
+instead."""
 
 RULES: dict[str, AccessScope | None] = {
     # Health, for load balancers; without a key it names no extension and no network
@@ -75,68 +98,22 @@ RULES: dict[str, AccessScope | None] = {
     "GET /v1/targets": _READ,
     # Its description
     "GET /openapi.json": _READ,
-    "GET /docs": _READ,
-    # The dashboard
-    "GET /": _READ,
+    # The parts and files of pages
     "GET /parts/jobs": _READ,
     "GET /parts/jobs/changes": _READ,
-    "POST /jobs/selected": _WRITE,
-    "GET /compare": _READ,
-    "GET /compare/campaigns": _READ,
-    "GET /jobs/{job_id}": _READ,
     "GET /parts/jobs/{job_id}": _READ,
-    "POST /jobs/{job_id}/cancel": _WRITE,
-    "GET /new": _READ,
-    "POST /new": _WRITE,
     "GET /new/choices.json": _READ,
-    "POST /jobs/{job_id}/about": _WRITE,
-    "POST /jobs/{job_id}/retry": _WRITE,
-    "POST /jobs/{job_id}/delete": _WRITE,
-    "POST /jobs/{job_id}/continue": _WRITE,
-    "GET /campaigns": _READ,
     "GET /parts/campaigns": _READ,
-    "GET /campaigns/{campaign_id}": _READ,
     "GET /parts/campaigns/{campaign_id}": _READ,
-    "POST /campaigns/{campaign_id}/{move}": _WRITE,
-    "GET /assets": _READ,
-    "POST /assets": _UPLOAD,
     "GET /assets/pictures/{asset:path}": _READ,
     "GET /assets/scenes/{asset:path}": _READ,
-    "GET /assets/{asset:path}": _READ,
-    "GET /targets": _READ,
     "GET /static/{path:path}": OPEN,
     "GET /sign-in": OPEN,
     "POST /sign-in": OPEN,
     "POST /sign-out": OPEN,
+    **PAGES,
 }
 """The method and path of each route, and its scope. A rule of GET is also that of HEAD."""
-
-
-PAGES = frozenset(
-    {
-        "GET /",
-        "POST /jobs/selected",
-        "GET /compare",
-        "GET /compare/campaigns",
-        "GET /jobs/{job_id}",
-        "POST /jobs/{job_id}/cancel",
-        "GET /new",
-        "POST /new",
-        "POST /jobs/{job_id}/about",
-        "POST /jobs/{job_id}/retry",
-        "POST /jobs/{job_id}/delete",
-        "POST /jobs/{job_id}/continue",
-        "GET /campaigns",
-        "GET /campaigns/{campaign_id}",
-        "GET /assets",
-        "POST /assets",
-        "GET /assets/{asset:path}",
-        "GET /targets",
-        "GET /docs",
-        "POST /campaigns/{campaign_id}/{move}",
-    }
-)
-"""The routes that send a browser without a session to sign in. The parts of pages answer 401 to the script instead."""
 
 
 @dataclass(frozen=True)
@@ -183,14 +160,6 @@ _HOW = {"WWW-Authenticate": "Bearer"}
 log = logger(__name__)
 
 
-class Doors(Protocol):
-    """The part of the app's services that authentication uses."""
-
-    keys: AccessKeys
-    sessions: Sessions
-    reading: Reading
-
-
 class Authentication:
     """Answers 401 without a valid key, and 403 if its scopes do not allow the route; else it passes the caller on."""
 
@@ -206,7 +175,7 @@ class Authentication:
         refusal = None
         scope.setdefault("state", {})["caller"] = None
         try:
-            services: Doors = scope["app"].state.services
+            services: Services = scope["app"].state.services
             caller = await services.reading(_caller, services, scope)
             scope["state"]["caller"] = caller
             if caller is not None and caller.key and services.keys.use_is_due(caller.key):
@@ -221,7 +190,7 @@ class Authentication:
         return await self.app(scope, receive, send)
 
 
-def _caller(services: Doors, scope: Scope) -> Caller | None:
+def _caller(services: Services, scope: Scope) -> Caller | None:
     """Returns the sender of a request, by its key or else by its session; None if it has neither and needs one."""
     key, headers = None, Headers(scope=scope)
     word, _, text = headers.get("authorization", "").partition(" ")

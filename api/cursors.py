@@ -8,9 +8,10 @@ from datetime import UTC, datetime
 from typing import Any
 
 from services.errors import InvalidRequest
-from services.jobs.job_list import SORTS, Place
+from services.jobs.job_list import SORTS, ListPage, Place
 from services.jobs.models import Campaign, State
 
+NEWEST = "-created"
 SORT_PATTERN = f"^-?({'|'.join(SORTS)})$"
 
 
@@ -80,20 +81,21 @@ def read_cursor(cursor: str | None, sort: str) -> Cursor:
     return Cursor(before=place) if backwards else Cursor(after=place)
 
 
+def page_cursors(page: ListPage, sort: str) -> tuple[str | None, str | None]:
+    """The cursors of the pages after and before a page of jobs; None where there is none."""
+    after = write_cursor(sort, page.last, backwards=False) if page.last and page.more_after else None
+    before = write_cursor(sort, page.first, backwards=True) if page.first and page.more_before else None
+    return after, before
+
+
 def campaign_cursor(campaign: Campaign) -> str:
     """The cursor of the page that begins after this campaign."""
-    return base64.urlsafe_b64encode(f"{campaign.created_at.isoformat()} {campaign.id}".encode()).decode().rstrip("=")
+    return write_cursor(NEWEST, Place(campaign.created_at, campaign.created_at, campaign.id), backwards=False)
 
 
 def read_campaign_cursor(cursor: str) -> tuple[datetime, str]:
     """The (created_at, id) after which the cursor's page begins. Raises InvalidRequest("cursor")."""
-    try:
-        time, job_id = base64.urlsafe_b64decode(cursor + "=" * (-len(cursor) % 4)).decode().split(" ")
-        place = datetime.fromisoformat(time)
-        if place.tzinfo is None:
-            raise ValueError("no time zone")
-        if not job_id.isalnum():
-            raise ValueError("no id")
-    except (ValueError, binascii.Error) as error:
-        raise InvalidRequest("cursor", "take it from `next` of the page before") from error
-    return place, job_id
+    place = read_cursor(cursor, NEWEST).after
+    if place is None:
+        raise InvalidRequest("cursor", "take it from `next` of the page before")
+    return place.created_at, place.job_id

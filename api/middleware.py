@@ -4,9 +4,9 @@
 - `Conditional` answers 304, `ErrorPages` shows a person errors as pages, and `Answers` makes problem documents of what
   the framework says in plain text.
 - `Audit` logs who changed what and who was refused.
-- `KnownHosts` and `SameSite` protect the service from web sites that its users visit.
-- `BodyLimit`, `Utf8Forms`, `NoNul` and `OpenUploads` refuse bodies that are too large, forms in other encodings than
-  UTF-8, addresses with a character that no text may have, and more uploads of a client than may be open.
+- `Refuse` has checks. `known_hosts` and `same_site` protect the service from web sites that its users visit;
+  `utf8_form` and `no_nul` refuse forms in other encodings than UTF-8, and paths with a character that no text has.
+- `BodyLimit` and `OpenUploads` refuse bodies that are too large, and more uploads of a client than may be open.
 
 A web site can give its own name the address of this machine, and a browser then takes the service for a part of that
 site (DNS rebinding); the name in the Host header shows it. A page of another site can make the browser of somebody who
@@ -18,7 +18,7 @@ import json
 import re
 import time
 from collections import Counter
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from hashlib import sha256
 from http import HTTPStatus
 from urllib.parse import parse_qsl
@@ -189,6 +189,32 @@ def _is_json(message: Message) -> bool:
     return bool(message["status"] == 200 and plain and "etag" not in headers)
 
 
+async def _replace(
+    app: ASGIApp,
+    scope: Scope,
+    receive: Receive,
+    send: Send,
+    is_wanted: Callable[[Message], bool],
+    replacement: Callable[[Message, bytes], Response],
+) -> None:
+    """Lets an app answer. Where the start of its answer is wanted, sends what is made of it and of the whole body."""
+    start: Message | None = None
+    body = b""
+
+    async def held(message: Message) -> None:
+        nonlocal start, body
+        if message["type"] == "http.response.start" and is_wanted(message):
+            start = message
+        elif start is None:
+            await send(message)
+        else:
+            body += message.get("body", b"")
+            if not message.get("more_body", False):
+                await replacement(start, body)(scope, receive, send)
+
+    await app(scope, receive, held)
+
+
 _OF_PROGRAMS = re.compile(r"/(?:v1|metrics|healthz|readyz|openapi\.json)(?:/|$)")
 """The beginning of paths that are no pages."""
 
@@ -204,25 +230,17 @@ class ErrorPages:
         if scope["type"] != "http" or _OF_PROGRAMS.match(scope["path"]):
             return await self.app(scope, receive, send)
         is_browser = _is_for_a_person(scope)
-        start: Message | None = None
-        document = b""
 
-        async def turned(message: Message) -> None:
-            nonlocal start, document
-            if message["type"] == "http.response.start" and _is_problem(message):
-                MutableHeaders(raw=message["headers"]).add_vary_header("Accept")
-                if is_browser:
-                    start = message
-                    return
-            if start is None:
-                await send(message)
-                return
-            document += message.get("body", b"")
-            if not message.get("more_body", False):
-                begun, start = start, None
-                await _page(scope, begun["status"], begun["headers"], document)(scope, receive, send)
+        def is_for_a_person(start: Message) -> bool:
+            if not Headers(raw=start["headers"]).get("content-type", "").startswith(MEDIA_TYPE):
+                return False
+            MutableHeaders(raw=start["headers"]).add_vary_header("Accept")
+            return is_browser
 
-        return await self.app(scope, receive, turned)
+        def page(start: Message, document: bytes) -> Response:
+            return _page(scope, start["status"], start["headers"], document)
+
+        return await _replace(self.app, scope, receive, send, is_for_a_person, page)
 
 
 def show_mistakes(app: FastAPI) -> None:
@@ -242,10 +260,6 @@ def show_mistakes(app: FastAPI) -> None:
 
 def _is_for_a_person(scope: Scope) -> bool:
     return not _OF_PROGRAMS.match(scope["path"]) and asks_for_html(scope)
-
-
-def _is_problem(message: Message) -> bool:
-    return Headers(raw=message["headers"]).get("content-type", "").startswith(MEDIA_TYPE)
 
 
 def _page(scope: Scope, status: int, headers: list[tuple[bytes, bytes]], document: bytes) -> Response:
@@ -273,31 +287,25 @@ class Answers:
         """ASGI."""
         if scope["type"] != "http":
             return await self.app(scope, receive, send)
-        start: Message | None = None
-        text = b""
 
-        async def rewrite(message: Message) -> None:
-            nonlocal start, text
-            if message["type"] == "http.response.start" and _is_plain_error(message):
-                start = message
-                return
-            if start is None:
-                if message["type"] == "http.response.start":
-                    headers = MutableHeaders(raw=message["headers"])
-                    headers["x-content-type-options"] = "nosniff"
-                    headers.setdefault("content-security-policy", "default-src 'none'; frame-ancestors 'none'")
-                await send(message)
-                return
-            text += message.get("body", b"")
-            if not message.get("more_body", False):
-                kept = {k.decode(): v.decode() for k, v in start["headers"] if not k.startswith(b"content-")}
-                kept |= {k.decode(): v.decode() for k, v in start["headers"] if k == b"content-range"}
-                status = start["status"]
-                detail = text.decode(errors="replace") or HTTPStatus(status).description
-                start = None
-                await problem(status, detail, headers=kept)(scope, receive, rewrite)
+        async def guarded(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                headers = MutableHeaders(raw=message["headers"])
+                headers["x-content-type-options"] = "nosniff"
+                headers.setdefault("content-security-policy", "default-src 'none'; frame-ancestors 'none'")
+            await send(message)
 
-        return await self.app(scope, receive, rewrite)
+        return await _replace(self.app, scope, receive, guarded, _is_plain_error, _as_problem)
+
+
+def _as_problem(start: Message, text: bytes) -> Response:
+    kept = {
+        name: value
+        for name, value in Headers(raw=start["headers"]).items()
+        if not name.startswith("content-") or name == "content-range"
+    }
+    detail = text.decode(errors="replace") or HTTPStatus(start["status"]).description
+    return problem(start["status"], detail, headers=kept)
 
 
 def _is_plain_error(message: Message) -> bool:
@@ -356,31 +364,45 @@ def _record(scope: Scope, answer: Message) -> None:
     )
 
 
+Check = Callable[[Scope], Response | None]
+"""Returns the answer to a request that is refused, and None for any other."""
+
+
+class Refuse:
+    """Answers a request by the first of `checks` that refuses it."""
+
+    def __init__(self, app: ASGIApp, checks: Sequence[Check]) -> None:
+        self.app = app
+        self.checks = checks
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """ASGI."""
+        if scope["type"] == "http":
+            for check in self.checks:
+                refusal = check(scope)
+                if refusal is not None:
+                    return await refusal(scope, receive, send)
+        return await self.app(scope, receive, send)
+
+
 _HOST = re.compile(r"(?:\[([0-9A-Fa-f:.]*:[0-9A-Fa-f:.]*)\]|([A-Za-z0-9._~-]+))(?::[0-9]{0,5})?")
 """An IPv6 address in brackets, or a name or IPv4 address, and perhaps a port."""
 
 
-class KnownHosts:
-    """Answers 400 for a Host that is none, and 421 for one that is neither loopback nor one of `hosts` (lower case)."""
+def known_hosts(hosts: Collection[str]) -> Check:
+    """Refuses by 400 a Host that is none, and by 421 one that is neither loopback nor one of `hosts` (lower case)."""
 
-    def __init__(self, app: ASGIApp, hosts: Collection[str]) -> None:
-        self.app = app
-        self.hosts = frozenset(hosts)
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """ASGI."""
-        if scope["type"] != "http":
-            return await self.app(scope, receive, send)
+    def check(scope: Scope) -> Response | None:
         host = Headers(scope=scope).get("host", "")
         name = _hostname(host)
         if host and not name:
-            return await problem(400, f"{host[:100]!r} is no host")(scope, receive, send)
-        if not is_loopback(name) and name not in self.hosts:
-            detail = (
-                f"this service does not answer for host {host[:100]!r}; SCENE_ATTACK_HOSTS lists those it answers for"
-            )
-            return await problem(421, detail)(scope, receive, send)
-        return await self.app(scope, receive, send)
+            return problem(400, f"{host[:100]!r} is no host")
+        if is_loopback(name) or name in hosts:
+            return None
+        detail = f"this service does not answer for host {host[:100]!r}; SCENE_ATTACK_HOSTS lists those it answers for"
+        return problem(421, detail)
+
+    return check
 
 
 def _hostname(host: str) -> str:
@@ -393,17 +415,11 @@ _OWN = ("same-origin", "none")
 """Values of Sec-Fetch-Site: this service's own pages, and what the user typed. `same-site` is another port."""
 
 
-class SameSite:
-    """Answers 403 to other sites' requests, but for a link to a page that the user follows."""
-
-    def __init__(self, app: ASGIApp) -> None:
-        self.app = app
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """ASGI."""
-        if scope["type"] == "http" and _is_foreign(scope["method"], Headers(scope=scope)):
-            return await problem(403, "requests from other web sites are refused")(scope, receive, send)
-        return await self.app(scope, receive, send)
+def same_site(scope: Scope) -> Response | None:
+    """Refuses by 403 other sites' requests, but for a link to a page that the user follows."""
+    if _is_foreign(scope["method"], Headers(scope=scope)):
+        return problem(403, "requests from other web sites are refused")
+    return None
 
 
 def _is_foreign(method: str, headers: Headers) -> bool:
@@ -475,23 +491,14 @@ async def _drain(receive: Receive) -> None:
             return
 
 
-class Utf8Forms:
-    """Answers 415 for a form that names another encoding than UTF-8.
+def utf8_form(scope: Scope) -> Response | None:
+    """Refuses by 415 a form that names another encoding than UTF-8.
 
     The framework decodes the fields of a form by the codec that the client names, of all that Python has; some take
     minutes for a megabyte, in which no other request is answered.
     """
-
-    def __init__(self, app: ASGIApp) -> None:
-        self.app = app
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """ASGI."""
-        if scope["type"] == "http":
-            charset = (_form_of(scope) or {}).get(b"charset", b"utf-8").lower()
-            if charset not in (b"utf-8", b"utf8", b"us-ascii"):
-                return await problem(415, "a form has to be in UTF-8")(scope, receive, send)
-        return await self.app(scope, receive, send)
+    charset = (_form_of(scope) or {}).get(b"charset", b"utf-8").lower()
+    return None if charset in (b"utf-8", b"utf8", b"us-ascii") else problem(415, "a form has to be in UTF-8")
 
 
 def _form_of(scope: Scope) -> dict[bytes, bytes] | None:
@@ -503,26 +510,17 @@ def _form_of(scope: Scope) -> dict[bytes, bytes] | None:
 _FORMS = (b"multipart/form-data", b"application/x-www-form-urlencoded")
 
 
-class NoNul:
+def no_nul(scope: Scope) -> Response | None:
     """Refuses paths and queries with the character U+0000, which PostgreSQL takes in no text. `services.strict` refuses
     it in bodies, HTTP in headers.
     """
-
-    def __init__(self, app: ASGIApp) -> None:
-        self.app = app
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """ASGI."""
-        if scope["type"] != "http":
-            return await self.app(scope, receive, send)
-        if "\0" in scope["path"]:
-            return await problem(404, "no path has the character U+0000")(scope, receive, send)
-        if b"%00" in scope["query_string"]:
-            parameters = parse_qsl(scope["query_string"].decode("latin-1"), keep_blank_values=True)
-            name = next((name for name, value in parameters if "\0" in value), "query")
-            refused = InvalidRequest(name, "it has the character U+0000, which no text may have")
-            return await invalid([refused])(scope, receive, send)
-        return await self.app(scope, receive, send)
+    if "\0" in scope["path"]:
+        return problem(404, "no path has the character U+0000")
+    if b"%00" in scope["query_string"]:
+        parameters = parse_qsl(scope["query_string"].decode("latin-1"), keep_blank_values=True)
+        name = next((name for name, value in parameters if "\0" in value), "query")
+        return invalid([InvalidRequest(name, "it has the character U+0000, which no text may have")])
+    return None
 
 
 MAX_OPEN_UPLOADS = 8

@@ -1,10 +1,9 @@
 """Routes of the pages about assets, the meshes and maps that a scene can name, and the form that adds one."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from math import degrees
 from pathlib import PurePosixPath
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 from urllib.parse import urlencode
 
 from fastapi import APIRouter, Depends, File, Form, Query, Request, Response, UploadFile
@@ -19,8 +18,6 @@ from api.routes.assets import form_body, store
 from api.schemas import Uploaded
 from services.access.caller import Caller, Scope
 from services.errors import InvalidFields, InvalidRequest
-from services.jobs.models import Job
-from services.jobs.uploads import FirstAnswer
 from services.pipeline.field_errors import invalid_fields
 from services.scenes.bundle import (
     MAP_KINDS,
@@ -47,23 +44,6 @@ EVERYTHING: Mapping[str, str] = {"kind": "", "category": "", "licence": "", "q":
 NOTHING_SAID: Mapping[str, str] = {"mesh": "", "name": "", "up": "", "licence": "", "credit": ""}
 
 router = APIRouter(include_in_schema=False)
-
-
-@dataclass(frozen=True)
-class Shown:
-    """An asset in the grid: its picture, if it has one, and the networks' first answers, if there are any."""
-
-    entry: Entry
-    picture: str | None
-    answers: list[FirstAnswer]
-
-
-@dataclass(frozen=True)
-class View:
-    """A job on the asset; the azimuth of its view is in degrees."""
-
-    job: Job
-    azimuth: float
 
 
 @router.get("/assets")
@@ -112,7 +92,7 @@ def grid(
         may_add=caller.may(Scope.ASSETS_WRITE),
         errors=errors,
         said=said,
-        shown=[Shown(entry, picture(entry), answers.get(entry.name, [])) for entry in entries],
+        shown=[(entry, picture(entry), answers.get(entry.name, [])) for entry in entries],
         count=len(matching),
         begin=begin,
         chosen=chosen,
@@ -152,9 +132,9 @@ def one_asset(asset: str, services: ServicesDependency, caller: CallerDependency
     entry = _entry(services, caller, asset)
     jobs = services.record.uploads.jobs(entry.name, JOBS, caller.only)
     answers = services.record.uploads.first_answers([entry.name], caller.only).get(entry.name, [])
-    views = [View(job, degrees(job.spec["scene"]["camera"]["azimuth"])) for job in jobs]
-    shown = Shown(entry, picture(entry), answers)
-    return html("asset.html", caller=caller, one=shown, views=sorted(views, key=lambda v: v.azimuth))
+    views = [(degrees(job.spec["scene"]["camera"]["azimuth"]), job) for job in jobs]
+    about: dict[str, Any] = {"entry": entry, "picture": picture(entry), "answers": answers}
+    return html("asset.html", caller=caller, **about, views=sorted(views, key=lambda view: view[0]))
 
 
 def _entry(services: Services, caller: Caller, asset: str) -> Entry:

@@ -5,7 +5,7 @@ The cases are shown as the best and the worst, as a heat map of any two fields, 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 from urllib.parse import urlencode
 
 from fastapi import APIRouter, Query, Response
@@ -23,17 +23,15 @@ from services.analysis.campaign_table import (
     Cell,
     Corners,
     Grid,
-    PartMean,
-    Table,
     best,
     grid,
     part_means,
     worst,
 )
 from services.errors import InvalidRequest
-from services.jobs.campaigns import Campaigns, Counts, Progress
+from services.jobs.campaigns import Campaigns
 from services.jobs.models import Campaign, CampaignState
-from services.pipeline.campaign_plan import ChosenView, nothing_chosen
+from services.pipeline.campaign_plan import nothing_chosen
 
 CASES_SHOWN = 6
 """Number of best and of worst cases."""
@@ -76,45 +74,28 @@ class Choice:
         )
 
 
-@dataclass(frozen=True)
-class Cases:
-    """The data of the part of the page that is about single cases."""
-
-    choice: Choice
-    grid: Grid
-    squares: list[tuple[str, list[Square | None]]]
-    """The rows of the heat map."""
-    opened: list[CaseRow]
-    opened_of: int
-    best: list[CaseRow]
-    worst: list[CaseRow]
-    parts: list[PartMean]
-    most: float
-    """The largest absolute mean of `parts`."""
-    fields: tuple[str, ...] = CASE_FIELDS
-    measures: tuple[str, ...] = GRID_MEASURES
-
-
-def cases(record: Campaigns, campaign: Campaign, choice: Choice) -> Cases:
-    """The cases of a campaign, which must have been read whole, as `choice` asks."""
+def cases(record: Campaigns, campaign: Campaign, choice: Choice) -> dict[str, Any]:
+    """Data of the page about single cases of a campaign, which must have been read whole, as `choice` asks."""
     rows, choice = record.case_rows(campaign), choice.valid()
     heat_map = grid(rows, choice.rows, choice.columns, choice.measure)
     parts = part_means(record.attributions(campaign.id, ATTRIBUTED))
     opened = [case for case in rows if _is_in(case, choice)]
-    return Cases(
-        choice=choice,
-        grid=heat_map,
-        squares=[
+    return {
+        "choice": choice,
+        "fields": CASE_FIELDS,
+        "measures": GRID_MEASURES,
+        "grid": heat_map,
+        "squares": [
             (row, [_square(campaign.id, heat_map, choice, row, column) for column in heat_map.columns])
             for row in heat_map.rows
         ],
-        opened=opened[:OPENED],
-        opened_of=len(opened),
-        best=best(rows, CASES_SHOWN),
-        worst=worst(rows, CASES_SHOWN),
-        parts=parts,
-        most=max((abs(part.value) for part in parts), default=0.0),
-    )
+        "opened": opened[:OPENED],
+        "opened_of": len(opened),
+        "best": best(rows, CASES_SHOWN),
+        "worst": worst(rows, CASES_SHOWN),
+        "parts": parts,
+        "most": max((abs(part.value) for part in parts), default=0.0),
+    }
 
 
 def _is_in(case: CaseRow, choice: Choice) -> bool:
@@ -190,33 +171,6 @@ VIEWS_SHOWN = 200
 Field = Annotated[str, Query(max_length=300)]
 
 router = APIRouter(include_in_schema=False)
-
-
-@dataclass(frozen=True)
-class CurveRows:
-    """The step curves of one cell against one kind of work as a table: work, successes, and their share."""
-
-    target: str
-    attack: str
-    along: str
-    rows: list[tuple[float, int, float]]
-
-
-@dataclass(frozen=True)
-class Page:
-    """The data of a campaign's page."""
-
-    campaign: Campaign
-    progress: Progress
-    counts: Counts
-    table: Table
-    by_queries: list[Chart]
-    by_seconds: list[Chart]
-    by_p: list[Chart]
-    corners: list[CurveRows]
-    views: list[ChosenView]
-    chosen: int
-    why_none: str | None
 
 
 @router.get("/campaigns")
@@ -296,34 +250,35 @@ def _campaign(
         raise no_such("campaign")
     result = services.record.campaigns.result(stored, curves=False)
     attacked = sorted(result.views, key=lambda view: not view.chosen)
-    page = Page(
-        campaign=stored,
-        progress=services.record.campaigns.progress([stored.id])[stored.id],
-        counts=services.campaign_counts(stored.id),
-        table=result.table,
-        by_queries=_charts(result.table, "queries"),
-        by_seconds=_charts(result.table, "seconds"),
-        by_p=_charts(result.table, "p"),
-        corners=[_rows(cell, along) for along in ALONG for cell in result.table.cells if cell.success.of],
-        views=attacked[:VIEWS_SHOWN],
-        chosen=sum(view.chosen for view in result.views),
-        why_none=nothing_chosen(result.views) if stored.selected_at else None,
-    )
-    if choice is None:
-        return html(template, caller=caller, page=page)
-    return html(template, caller=caller, page=page, cases=cases(services.record.campaigns, stored, choice))
+    cells = [cell for cell in result.table.cells if cell.success.of]
+    values: dict[str, Any] = {
+        "campaign": stored,
+        "progress": services.record.campaigns.progress([stored.id])[stored.id],
+        "counts": services.campaign_counts(stored.id),
+        "table": result.table,
+        "charts": {along: _charts(cells, along) for along in ALONG},
+        # The curves as a table: work, successes, and their share.
+        "curves": [
+            (cell, ALONG[along], steps(corners(cell, along), cell.success.of)) for along in ALONG for cell in cells
+        ],
+        "views": attacked[:VIEWS_SHOWN],
+        "chosen": sum(view.chosen for view in result.views),
+        "why_none": nothing_chosen(result.views) if stored.selected_at else None,
+    }
+    if choice is not None:
+        values["cases"] = cases(services.record.campaigns, stored, choice)
+    return html(template, caller=caller, **values)
 
 
-def _charts(table: Table, along: Along) -> list[Chart]:
-    """The step curves of the verified successes of each cell that has cases, all as far as any case went."""
-    most = max((end(cell, along) for cell in table.cells), default=0.0) or 1.0
-    return [_chart(cell, along, 1.05 * most) for cell in table.cells if cell.success.of]
-
-
-def _chart(cell: Cell, along: Along, until: float) -> Chart:
-    title = f"{cell.attack}, {cell.target}: verified successes, % of {cell.success.of}"
-    return chart(title, ALONG[along], points(cell, along, until), include=(0, 100))
-
-
-def _rows(cell: Cell, along: Along) -> CurveRows:
-    return CurveRows(cell.target, cell.attack, ALONG[along], steps(corners(cell, along), cell.success.of))
+def _charts(cells: Sequence[Cell], along: Along) -> list[Chart]:
+    """The step curves of the verified successes of cells that have cases, all as far as any case went."""
+    until = 1.05 * (max((end(cell, along) for cell in cells), default=0.0) or 1.0)
+    return [
+        chart(
+            f"{cell.attack}, {cell.target}: verified successes, % of {cell.success.of}",
+            ALONG[along],
+            points(cell, along, until),
+            include=(0, 100),
+        )
+        for cell in cells
+    ]

@@ -10,7 +10,7 @@ from fastapi import APIRouter, Form, Query, Response
 from fastapi.responses import RedirectResponse
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 
-from api.cursors import SORT_PATTERN, read_cursor, write_cursor
+from api.cursors import NEWEST, SORT_PATTERN, page_cursors, read_cursor
 from api.dashboard.pages import HEADERS, html
 from api.requests import CallerDependency, Services, ServicesDependency
 from api.schemas import MOST_TAGS, TAG_WORDS, is_tag
@@ -23,7 +23,6 @@ from services.jobs.models import State
 
 PAGE = 50
 """Number of jobs on one page of the list."""
-NEWEST = "-created"
 MOST = 200
 """Jobs that one request acts upon at most."""
 
@@ -174,8 +173,7 @@ def shown(
         none: dict[str, Any] = {"lines": [], "totals": None, "older": None, "newer": None}
         return html(template, 422, strip=strip, error=error.detail, **none, **about)
     page = services.record.lists.page(terms, PAGE, sort=sort, after=place.after, before=place.before, owner=caller.only)
-    older = write_cursor(sort, page.last, backwards=False) if page.last and page.more_after else None
-    newer = write_cursor(sort, page.first, backwards=True) if page.first and page.more_before else None
+    older, newer = page_cursors(page, sort)
     lines: list[tuple[ListedJob, Any]] = [(job, job.outcome) for job in page.jobs]
     totals = services.record.lists.totals(terms, caller.only) if terms else strip.totals
     return html(template, strip=strip, error=None, lines=lines, totals=totals, older=older, newer=newer, **about)

@@ -22,7 +22,7 @@ from api.schemas import JobEdit
 from services.access.caller import Caller
 from services.errors import InvalidFields
 from services.jobs.files import Damaged, delete_with_files
-from services.jobs.models import Artifact, Job, JobKind
+from services.jobs.models import Artifact, JobKind
 from services.pipeline.field_errors import invalid_fields
 from services.pipeline.result import BEST_SO_FAR
 
@@ -46,18 +46,16 @@ def job_part(job_id: str, services: ServicesDependency, caller: CallerDependency
 
 
 @router.post("/jobs/{job_id}/cancel")
-def cancel(job_id: str, services: ServicesDependency, caller: CallerDependency) -> Response:
+def cancel(job: KnownJob, services: ServicesDependency) -> Response:
     """Cancels a job, as the button on its page asks, and redirects to the page."""
-    if caller.visible(services.record.jobs.line(job_id)) is None:
-        raise no_such("job")
-    services.record.jobs.request_cancel(job_id)
-    return RedirectResponse(f"/jobs/{job_id}", 303, HEADERS)
+    services.record.jobs.request_cancel(job.id)
+    return _to(f"/jobs/{job.id}")
 
 
 @router.post("/jobs/{job_id}/continue")
 def continue_job(job: KnownJob, services: ServicesDependency, caller: CallerDependency) -> Response:
     """Continues a job that was cancelled or failed, as the button on its page asks, and redirects to the new job."""
-    return RedirectResponse(f"/jobs/{continued(job, services, caller).id}", 303, HEADERS)
+    return _to(f"/jobs/{continued(job, services, caller).id}")
 
 
 @router.get("/static/{path:path}")
@@ -81,9 +79,9 @@ def _job(part: str, job_id: str, services: Services, caller: Caller, request: Re
     events = all_events(services.record, job_id)
     artifacts = services.record.jobs.artifacts(job_id)
     page = views.page(stored, events, artifacts, _best_so_far(services, artifacts))
-    remarks = about(stored, services.record.lists.retries(job_id, caller.only), page.went_on)
+    retries = services.record.lists.retries(job_id, caller.only)
     sent_again = commands(stored.spec, str(request.base_url).rstrip("/"), with_key=bool(caller.key))
-    return html(f"{part}job.html", caller=caller, page=page, about=remarks, commands=sent_again)
+    return html(f"{part}job.html", caller=caller, job=stored, page=page, retries=retries, commands=sent_again)
 
 
 def _best_so_far(services: Services, artifacts: Sequence[Artifact]) -> dict[str, Any] | None:
@@ -94,27 +92,6 @@ def _best_so_far(services: Services, artifacts: Sequence[Artifact]) -> dict[str,
                 best: dict[str, Any] = json.load(file)
                 return best
     return None
-
-
-@dataclass(frozen=True)
-class About:
-    """Data of the part of a job's page about what people have said and done."""
-
-    title: str | None
-    tags: list[str]
-    note: str | None
-    retry_of: str | None
-    retries: Sequence[str]
-    """Ids of the jobs that repeat this one."""
-    went_on: bool
-    """Whether it began with the checkpoint of `retry_of`."""
-    deletable: bool
-
-
-def about(job: Job, retries: Sequence[str], went_on: bool) -> About:
-    """Returns what people have said about a job, and the jobs that repeat it."""
-    deletable = job.state.terminal and job.campaign_id is None
-    return About(job.title, job.tags or [], job.note, job.retry_of, retries, went_on, deletable)
 
 
 @router.post("/jobs/{job_id}/about")

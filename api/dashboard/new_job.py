@@ -16,7 +16,7 @@ from api.requests import CallerDependency, Services, ServicesDependency, names_o
 from api.routes import jobs
 from services.access.caller import Caller
 from services.attacks.attack import ATTACKS
-from services.errors import InvalidRequest
+from services.errors import InvalidFields, InvalidRequest
 from services.jobs.processes import WARM_PROCESSES
 from services.jobs.scheduler import Demand
 from services.jobs.states import Priority
@@ -61,10 +61,8 @@ async def submit(
         parsed = await run_in_threadpool(_parsed, spec, names_of(services, caller))
         priority = Demand(Priority.NORMAL)
         job = await jobs.submit_job(parsed, services, caller, request, Response(), priority)
-    except Refused as refused:
-        return _page(caller, spec, refused.errors, 422)
     except InvalidRequest as error:
-        return _page(caller, spec, [error], 422)
+        return _page(caller, spec, error.every, 422)
     return RedirectResponse(f"/jobs/{job.id}", 303, HEADERS)
 
 
@@ -90,22 +88,14 @@ def choices(services: ServicesDependency, caller: CallerDependency) -> Any:
     }
 
 
-class Refused(Exception):
-    """A request that cannot be read."""
-
-    def __init__(self, errors: Sequence[InvalidRequest]) -> None:
-        super().__init__()
-        self.errors = errors
-
-
 def _parsed(text: str, names: Names) -> JobSpec:
-    """The request that a text is. Raises Refused with every wrong field."""
+    """The request that a text is. Raises InvalidRequest, with every wrong field."""
     try:
         return JobSpec.model_validate(read_json(text), context=names)
     except NotJson as error:
-        raise Refused([InvalidRequest("body", str(error))]) from error
+        raise InvalidRequest("body", str(error)) from error
     except ValidationError as error:
-        raise Refused(problems(error)) from error
+        raise InvalidFields(problems(error)) from error
 
 
 def _page(

@@ -1,30 +1,20 @@
 """Route of the dashboard's page about the networks that can be attacked."""
 
-from dataclasses import dataclass
-
 from fastapi import APIRouter, Response
 
 from api.dashboard.pages import html
 from api.requests import CallerDependency, ServicesDependency
 from services.jobs.statistics import TargetRecord
-from services.targets.info import UNAVAILABLE, TargetInfo, available
+from services.targets.info import UNAVAILABLE, available
 
 router = APIRouter(include_in_schema=False)
-
-
-@dataclass(frozen=True)
-class Card:
-    """A network, and what the record knows of it."""
-
-    info: TargetInfo
-    record: TargetRecord
 
 
 @router.get("/targets")
 def targets(services: ServicesDependency, caller: CallerDependency) -> Response:
     """A card for each network."""
     records = services.record.targets.all(caller.only)
-    cards = [Card(info, records.get(info.name, TargetRecord())) for info in available()]
-    gone = sorted(set(records) - {card.info.name for card in cards})
+    cards = [(info, records.get(info.name, TargetRecord())) for info in available()]
+    gone = sorted(set(records) - {info.name for info, _ in cards})
     others = [(name, records[name]) for name in gone]
     return html("targets.html", caller=caller, cards=cards, others=others, unavailable=sorted(UNAVAILABLE.items()))

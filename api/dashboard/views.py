@@ -6,12 +6,10 @@ to.
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import datetime
 from typing import Any
 
-from api.dashboard.charts import Chart, Upset, chart, upset
+from api.dashboard.charts import Chart, chart, upset
 from services.attacks.outcome import judge
-from services.jobs.job_list import ListedJob
 from services.jobs.models import Artifact, Event, Job, State
 from services.jobs.record import Record
 from services.pipeline.names import group_words, question_names
@@ -231,143 +229,49 @@ LEAST = 0.01
 """Least height of the axes of p (thousandths) and distance, so that rounding of an unchanged image is not magnified."""
 
 
-@dataclass(frozen=True)
-class Line:
-    """The data of a job in the list."""
-
-    id: str
-    state: State
-    name: str
-    """The question, or the scene of a job without one."""
-    scene: str
-    attack: str
-    target: str
-    created_at: datetime
-    phase: str | None
-    step: int | None
-    steps: int | None
-    outcome: dict[str, Any] | None
-    failure_kind: str | None
-    waiting: str | None
-    """Reason why no live worker takes the queued job; None if one of them can run it."""
-
-
-@dataclass(frozen=True)
-class Page:
-    """The data of a job's page."""
-
-    line: Line
-    spec: dict[str, Any]
-    times: dict[str, datetime]
-    attempt: int
-    failure_detail: str | None
-    errors: list[dict[str, Any]]
-    """The invalid fields of a rejected job."""
-    warnings: list[Any]
-    result: dict[str, Any] | None
-    subsets: list[dict[str, Any]]
-    attribution: dict[str, Any] | None
-    """The attribution to the groups, which it calls as pages do; None without a result and for a single group."""
-    upset: Upset | None
-    """The plot of the subsets; None without a result or for a single group."""
-    last: dict[str, Any] | None
-    by_step: list[Chart]
-    by_queries: list[Chart]
-    by_seconds: list[Chart]
-    rows: list[dict[str, Any]]
-    """Rows of the trace, evenly chosen, at most `ROWS` and the last."""
-    artifacts: list[Artifact]
-    attention_files: list[Artifact]
-    """The images of attention, which are many."""
-    best: dict[str, Any] | None
-    """The best so far of a job that ended before its time (services.pipeline.execute)."""
-    continuable: bool
-    """Whether another job can go on from its checkpoint."""
-    went_on: bool
-    """Whether it began with the checkpoint of the job that it repeats."""
-    cancellable: bool
-    analysed: bool
-    """Whether the request asked for analyses, and they are made."""
-    questions: list[Question]
-    objects: list[SceneObject]
-    effect_groups: list[str]
-    """The groups whose effect on single objects was measured."""
-    limits: list[dict[str, Any]]
-    """The plan's lines about coordinates that the search leaves out, of jobs with questions."""
-    image_size: tuple[int, int]
-    """Height and width of the images."""
-
-
-def line(job: Job | ListedJob) -> Line:
-    """The data that the list shows of a job."""
-    return Line(
-        id=job.id,
-        state=job.state,
-        name=job.name or "",
-        scene=job.scene or "",
-        attack=job.attack or "",
-        target=job.target or "",
-        created_at=job.created_at,
-        phase=job.phase,
-        step=job.step,
-        steps=job.steps,
-        outcome=job.outcome,
-        failure_kind=job.failure_kind,
-        waiting=job.waiting if job.state is State.QUEUED else None,
-    )
-
-
-def page(job: Job, events: Iterable[Event], artifacts: Sequence[Artifact], best: dict[str, Any] | None = None) -> Page:
-    """The data that a job's page shows. The trace is the result's or, if there is none yet, that of the events; `best`
-    is what a job had found that ended before its time.
+def page(
+    job: Job, events: Iterable[Event], artifacts: Sequence[Artifact], best: dict[str, Any] | None = None
+) -> dict[str, Any]:
+    """Data that a job's page shows beside the job. The trace is the result's or, if there is none yet, that of the
+    events; `best` is the best result of a job that ended before its time (services.pipeline.execute).
     """
     trace = trace_of(job, events)
-    height, width = job.spec["scene"]["camera"]["size"]
-    asked = questions(job.result, job.spec, question_names(job.spec))
+    spec, result = job.spec, job.result
+    asked = questions(result, spec, question_names(spec))
     shown = {name for question in asked for of in question.result.attention for name in (of.before, of.after)}
-    things = objects(job.result, job.spec)
-    rows = subsets(job.result)
-    names = {group: group_words(job.spec, group) for group in (rows[-1]["groups"] if rows else ())}
-    shares = None if job.result is None else job.result["attribution"]
+    things = objects(result, spec)
+    rows = subsets(result)
+    names = {group: group_words(spec, group) for group in (rows[-1]["groups"] if rows else ())}
+    shares = None if result is None else result["attribution"]
     has_checkpoint = any(artifact.name == CHECKPOINT for artifact in artifacts)
-    # It has a checkpoint from its beginning. One that only repeats has none with a result, and else its own later.
-    went_on = (
-        has_checkpoint and job.retry_of is not None and (job.result is not None or not trace or trace[0]["step"] > 0)
-    )
-    return Page(
-        line=line(job),
-        spec=job.spec,
-        times=job.times,
-        attempt=job.attempt,
-        failure_detail=job.failure_detail,
-        errors=job.errors or [],
-        warnings=job.warnings,
-        result=job.result,
-        subsets=rows,
-        attribution=shares | {"parts": [names[part] for part in shares["parts"]]}
+    return {
+        "subsets": rows,
+        # Both are None without a result and for a single group; pages have other names of groups.
+        "attribution": shares | {"parts": [names[part] for part in shares["parts"]]}
         if shares and len(names) > 1
         else None,
-        upset=shares and upset(rows, shares, names, [artifact.name for artifact in artifacts]),
-        last=trace[-1] if trace else None,
-        by_step=charts(trace, job.spec, "step"),
-        by_queries=charts(trace, job.spec, "queries"),
-        by_seconds=charts(trace, job.spec, "seconds"),
-        rows=evenly(trace),
-        artifacts=[artifact for artifact in artifacts if artifact.name not in shown],
-        attention_files=[artifact for artifact in artifacts if artifact.name in shown],
-        best=best,
-        continuable=has_checkpoint and job.state in (State.CANCELLED, State.FAILED),
-        went_on=went_on,
-        cancellable=not job.state.terminal and job.state != State.CANCELLING,
-        analysed=job.result is not None and any(job.result["analyses"].values()),
-        questions=asked,
-        objects=things,
-        effect_groups=[
-            group for group in job.spec["attack"]["groups"] if any(group in thing.effects for thing in things)
+        "upset": shares and upset(rows, shares, names, [artifact.name for artifact in artifacts]),
+        "last": trace[-1] if trace else None,
+        "charts": {against: charts(trace, spec, against) for against in ("step", "queries", "seconds")},
+        "rows": evenly(trace),
+        "artifacts": [artifact for artifact in artifacts if artifact.name not in shown],
+        "attention_files": [artifact for artifact in artifacts if artifact.name in shown],  # which are many
+        "best": best,
+        "continuable": has_checkpoint and job.state in (State.CANCELLED, State.FAILED),
+        # Whether it began with the checkpoint of the job that it repeats, which it then has from its beginning. One
+        # that only repeats has none with a result, and else its own later.
+        "went_on": has_checkpoint
+        and job.retry_of is not None
+        and (result is not None or not trace or trace[0]["step"] > 0),
+        "questions": asked,
+        "objects": things,
+        # The groups whose effect on single objects was measured.
+        "effect_groups": [
+            group for group in spec["attack"]["groups"] if any(group in thing.effects for thing in things)
         ],
-        limits=limits(job.result, job.spec) if asked else [],
-        image_size=(height, width),
-    )
+        "limits": limits(result, spec) if asked else [],
+        "image_size": tuple(spec["scene"]["camera"]["size"]),
+    }
 
 
 def limits(result: dict[str, Any] | None, spec: dict[str, Any]) -> list[dict[str, Any]]:

@@ -11,8 +11,9 @@ from fastapi import APIRouter, Depends, Query
 from fastapi.responses import StreamingResponse
 from pydantic import AfterValidator, WithJsonSchema
 
+from api.cursors import NEWEST
 from api.requests import CallerDependency, Services, ServicesDependency
-from api.routes.jobs import NEWEST, QueryText, Sort
+from api.routes.jobs import QueryText, Sort
 from api.schemas import JobRow, JobTable
 from services.access.caller import Caller
 from services.jobs.job_list import ListedJob, Term, parse_query

@@ -8,7 +8,7 @@ from fastapi import APIRouter, Depends, Header, HTTPException, Query, Request, R
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 from starlette.concurrency import run_in_threadpool
 
-from api.cursors import SORT_PATTERN, read_cursor, write_cursor
+from api.cursors import NEWEST, SORT_PATTERN, page_cursors, read_cursor
 from api.requests import (
     SUBMISSION,
     CallerDependency,
@@ -43,7 +43,6 @@ QueryText = Annotated[
 Sort = Annotated[
     str, Query(pattern=SORT_PATTERN, description='what to sort by; with "-" before it the greatest or newest first')
 ]
-NEWEST = "-created"
 MOST_EVENTS = 2**31 - 1
 """Largest number of an event that a client may name."""
 
@@ -118,8 +117,7 @@ async def list_jobs(
     def read() -> str:
         about: dict[str, Any] = {"sort": sort, "after": place.after, "before": place.before, "owner": caller.only}
         shown = services.record.lists.page(terms, limit, **about)
-        after = write_cursor(sort, shown.last, backwards=False) if shown.last and shown.more_after else None
-        before = write_cursor(sort, shown.first, backwards=True) if shown.first and shown.more_before else None
+        after, before = page_cursors(shown, sort)
         items = [JobSummary.listed(job) for job in shown.jobs]
         return JobPage(items=items, next=after, previous=before).model_dump_json()
 

@@ -2,13 +2,17 @@
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any, cast
 
+import httpx
 from fastapi import FastAPI
+from httpx import ASGITransport
+from sqlalchemy import create_engine
 
 from api import dashboard
-from api.requests import Services, caller
+from api.requests import Reading, Services, caller
 from services.access.caller import KEYLESS
 from services.jobs.database import connect, migrate
 from services.jobs.leases import Attempt
@@ -216,10 +220,39 @@ def app(record: Record, queue: Queue | None = None) -> FastAPI:
         checks=none,
         uploads=none,
         exporter=none,
-        reading=none,
+        reading=Reading(create_engine("sqlite://")),
         watcher=none,
         list_watcher=none,
         storage=none,
         deleted_assets=none,
     )
     return made
+
+
+class Tags(HTMLParser):
+    """All start tags with their attributes, and all text."""
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.found: list[tuple[str, dict[str, str | None]]] = []
+        self.words: list[str] = []
+        self.feed(html)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.found.append((tag, dict(attrs)))
+
+    def handle_data(self, data: str) -> None:
+        self.words.append(data)
+
+    def all(self, tag: str) -> list[dict[str, str | None]]:
+        return [attributes for name, attributes in self.found if name == tag]
+
+    @property
+    def text(self) -> str:
+        return " ".join(" ".join(self.words).split())
+
+
+async def send(record: Record, path: str, form: dict[str, str] | None = None) -> httpx.Response:
+    """The dashboard's answer: to a form that is sent, or else of a page."""
+    async with httpx.AsyncClient(transport=ASGITransport(app(record)), base_url="http://dashboard") as client:
+        return await client.get(path) if form is None else await client.post(path, data=form)

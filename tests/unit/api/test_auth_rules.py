@@ -4,10 +4,11 @@ import pytest
 from fastapi import FastAPI
 from fastapi.routing import iter_route_contexts
 
-from api.authentication import PAGES, RULES, rule_of
+from api.authentication import RULES, rule_of
 from api.main import create_app
 from services.access.caller import Scope
 from services.settings import Settings
+from tests.dashboard_pages import NO_PAGES, PAGES
 
 
 def routes(app: FastAPI) -> set[str]:
@@ -35,10 +36,6 @@ def test_what_needs_no_key_is_listed_here() -> None:
     }
 
 
-def test_pages_are_routes_that_need_a_key() -> None:
-    assert {route for route, scope in RULES.items() if scope is not None} > PAGES
-
-
 def test_what_changes_something_needs_a_scope_for_it() -> None:
     for route, scope in RULES.items():
         if scope is not None:
@@ -62,3 +59,8 @@ def test_what_changes_something_needs_a_scope_for_it() -> None:
 def test_a_request_has_the_rule_of_its_route(method: str, path: str, route: str | None) -> None:
     found = rule_of(method, path)
     assert (None if found is None else found.route) == route
+
+
+def test_every_page_is_walked_by_the_accessibility_test() -> None:
+    routes = {route.removeprefix("GET ") for route in RULES if route.startswith("GET ")}
+    assert set(PAGES) == {path for path in routes if not NO_PAGES.match(path)}
