@@ -12,8 +12,10 @@ from fastapi import FastAPI
 from api.main import create_app, server
 from api.requests import Services
 from services.jobs.models import Artifact
+from services.jobs.record import Record
 from services.pipeline.spec import parse
 from services.settings import Settings
+from tests.unit.api.dashboard_records import open_record
 from tests.unit.api.guarded import Guarded, guarding
 from tests.unit.jobs.records import OUTCOME
 
@@ -71,6 +73,18 @@ def guarded(redis_url: str, tmp_path_factory: pytest.TempPathFactory) -> Iterato
     app = create_app(Settings(data=tmp_path_factory.mktemp("data"), redis_url=redis_url, hosts="service.example"))
     with serving(app) as client, guarding(app, client) as guarded:
         yield guarded
+
+
+@pytest.fixture
+def anyio_backend() -> str:
+    return "asyncio"
+
+
+@pytest.fixture
+def record(tmp_path: Path) -> Iterator[Record]:
+    """An empty record."""
+    with open_record(tmp_path) as made:
+        yield made
 
 
 @pytest.fixture

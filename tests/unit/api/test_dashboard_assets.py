@@ -8,9 +8,9 @@ from fastapi import FastAPI
 from httpx import Client
 from PIL import Image
 
+from tests.unit.api.dashboard_records import Tags
 from tests.unit.api.guarded import MESH, Guarded
 from tests.unit.api.test_assets import PYRAMID
-from tests.unit.api.test_dashboard_pages import Tags
 from tests.unit.api.test_sign_in import FOREIGN
 from tests.unit.scenes.test_companion_files import MTL, OBJ, image
 

@@ -12,16 +12,10 @@ from services.jobs.queue import Queue
 from services.jobs.queue import connect as connect_redis
 from services.jobs.record import Record
 from services.settings import Settings
-from tests.unit.api.dashboard_records import app
-from tests.unit.api.test_dashboard_pages import Tags
+from tests.unit.api.dashboard_records import Tags, app
 from tests.unit.jobs.campaign_stage import Stage, spec
 
 pytestmark = [pytest.mark.slow, pytest.mark.anyio]
-
-
-@pytest.fixture
-def anyio_backend() -> str:
-    return "asyncio"
 
 
 @pytest.fixture

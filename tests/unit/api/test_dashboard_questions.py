@@ -19,8 +19,8 @@ from services.pipeline.spec import JobSpec, parse
 from services.scenes.clevr.description import describe
 from services.scenes.clevr.generator import generate
 from services.targets import registry
-from tests.unit.api.dashboard_records import add, app, open_record, start
-from tests.unit.api.test_dashboard_pages import HOSTILE, Tags
+from tests.unit.api.dashboard_records import Tags, add, app, start
+from tests.unit.api.test_dashboard_pages import HOSTILE
 from tests.unit.jobs.small import LIBRARY
 from tests.unit.targets.iep.seeded import INFO, program, target
 
@@ -40,11 +40,6 @@ CALLS = program(
 ).written()
 
 pytestmark = [pytest.mark.slow, pytest.mark.anyio]
-
-
-@pytest.fixture
-def anyio_backend() -> str:
-    return "asyncio"
 
 
 @pytest.fixture(scope="module")
@@ -67,12 +62,6 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], Path
 def result(made: tuple[dict[str, Any], Path]) -> dict[str, Any]:
     """The result, to be changed."""
     return copy.deepcopy(made[0])
-
-
-@pytest.fixture
-def record(tmp_path: Path) -> Iterator[Record]:
-    with open_record(tmp_path) as found:
-        yield found
 
 
 async def pages(record: Record, folder: Path, result: dict[str, Any]) -> tuple[str, Tags, Tags]:

@@ -3,7 +3,7 @@
 from httpx import Client
 
 from services.targets.info import available
-from tests.unit.api.test_dashboard_pages import Tags
+from tests.unit.api.dashboard_records import Tags
 
 
 def test_each_network_has_a_card_with_what_is_known_of_it(client: Client, finished: str) -> None:  # noqa: ARG001

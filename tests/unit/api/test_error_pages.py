@@ -5,8 +5,8 @@ import pytest
 from api.authentication import PAGES, RULES
 from api.problems import MEDIA_TYPE
 from services.access.caller import Scope
+from tests.unit.api.dashboard_records import Tags
 from tests.unit.api.guarded import Guarded
-from tests.unit.api.test_dashboard_pages import Tags
 
 pytestmark = pytest.mark.slow
 

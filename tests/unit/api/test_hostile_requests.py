@@ -75,25 +75,6 @@ def test_depths_at_which_the_stack_ends_somewhere_are_no_mistake_of_the_service(
     assert answer.status_code == 422
 
 
-HEADERS = {
-    "half a host": ("GET", "/healthz", {"host": "["}, 400),
-    "half a host of a page": ("GET", "/v1/jobs/", {"host": "[::1"}, 400),
-    "a long host": ("GET", "/healthz", {"host": "x" * 10_000}, 421),
-    "half an origin": ("POST", "/v1/jobs/none/cancel", {"origin": "http://["}, 403),
-    "an origin without a host": ("POST", "/v1/jobs/none/cancel", {"origin": "null"}, 403),
-    "a port that is none": ("GET", "/healthz", {"host": "localhost:x"}, 400),
-}
-
-
-@pytest.mark.parametrize(("method", "path", "headers", "status"), HEADERS.values(), ids=HEADERS)
-def test_a_bad_header_is_the_clients(
-    client: Client, method: str, path: str, headers: dict[str, str], status: int
-) -> None:
-    answer = client.request(method, path, headers=headers)
-    assert answer.status_code == status, answer.text[:500]
-    assert len(answer.content) < 1000
-
-
 CURSOR = base64.urlsafe_b64encode(b"2030-01-01T00:00:00+00:00 a" + bytes(1))
 NUL = {
     "a path": ("/v1/jobs/a%00b", 404, None),

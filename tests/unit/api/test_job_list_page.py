@@ -1,37 +1,16 @@
 """The page of the jobs and the page that compares jobs, rendered from a real record."""
 
-from collections.abc import Iterator
-from pathlib import Path
-
 import httpx
 import pytest
-from httpx import ASGITransport
 
 from api.dashboard.comparison import differences
 from services.errors import InvalidRequest
 from services.jobs.record import Record
 from services.pipeline.spec import RerenderingSpec, parse
-from tests.unit.api.dashboard_records import SPEC, add, app, open_record, result, start, succeed
-from tests.unit.api.test_dashboard_pages import Tags
+from tests.unit.api.dashboard_records import SPEC, Tags, add, result, send, start, succeed
 
 pytestmark = [pytest.mark.slow, pytest.mark.anyio]
 HOSTILE = '"><script>alert(1)</script>'
-
-
-@pytest.fixture
-def anyio_backend() -> str:
-    return "asyncio"
-
-
-@pytest.fixture
-def record(tmp_path: Path) -> Iterator[Record]:
-    with open_record(tmp_path) as made:
-        yield made
-
-
-async def send(record: Record, path: str, form: dict[str, str] | None = None) -> httpx.Response:
-    async with httpx.AsyncClient(transport=ASGITransport(app(record)), base_url="http://dashboard") as client:
-        return await client.get(path) if form is None else await client.post(path, data=form)
 
 
 def rows(page: httpx.Response) -> list[str]:

@@ -174,7 +174,10 @@ HEADERS = {
     "another site": ({"origin": "https://evil.example"}, 403),
     "half an origin": ({"origin": "http://["}, 403),
     "two origins": ({"origin": "http://localhost, https://evil.example"}, 403),
+    "an origin without a host": ({"origin": "null"}, 403),
     "half a host": ({"host": "[::1"}, 400),
+    "a long host": ({"host": "x" * 10_000}, 421),
+    "a port that is none": ({"host": "localhost:x"}, 400),
     "a host of another name": ({"host": "evil.example"}, 421),
     "a user in the host": ({"host": "localhost@evil.example"}, 400),
 }

@@ -1,14 +1,45 @@
-"""What Prometheus reads, in its own parser."""
+"""Health of the service, and what Prometheus reads, in its own parser."""
 
 import pytest
 from httpx import Client
 from prometheus_client.parser import text_string_to_metric_families
 from sqlalchemy import create_engine
 
+from api.requests import Services
 from api.routes.service import ServiceMetrics
 from services.jobs.database import Database
 from services.jobs.queue import Queue, connect
 from services.jobs.statistics import Figures
+
+
+def test_the_process_is_well_by_itself(client: Client) -> None:
+    assert client.get("/healthz").json() == {"status": "ok"}
+
+
+def test_without_a_worker_the_service_is_not_ready(client: Client) -> None:
+    answer = client.get("/readyz")
+    assert answer.status_code == 503
+    assert answer.json() == {
+        "ready": False,
+        "database": True,
+        "redis": True,
+        "storage": True,
+        "worker": False,
+        "workers": 0,
+        "extensions": [],
+        "targets": [],
+    }
+
+
+def test_without_redis_the_service_is_not_ready(client: Client, services: Services, tmp_path) -> None:  # type: ignore[no-untyped-def]
+    there = services.queue.redis
+    object.__setattr__(services.queue, "redis", connect(f"unix://{tmp_path}/none.sock"))
+    try:
+        answer = client.get("/readyz")
+    finally:
+        object.__setattr__(services.queue, "redis", there)
+    assert answer.status_code == 503
+    assert (answer.json()["redis"], answer.json()["database"]) == (False, True)
 
 
 def samples(client: Client) -> dict[tuple[str, ...], float]:

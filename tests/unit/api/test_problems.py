@@ -44,10 +44,6 @@ def test_every_error_is_a_problem(
     assert set(problem) == {"type", "title", "status", "detail", "errors"}
 
 
-def test_a_wrong_method_is_told_the_right_ones(client: Client) -> None:
-    assert "POST" in client.delete("/v1/jobs").headers["allow"]
-
-
 def test_the_site_itself_may_ask(client: Client) -> None:
     answer = client.post("/v1/jobs", json=SPHERE, headers={"origin": str(client.base_url).rstrip("/")})
     assert answer.status_code == 202

@@ -13,11 +13,6 @@ pytestmark = [pytest.mark.slow, pytest.mark.anyio]
 SQLITE = create_engine("sqlite://")
 
 
-@pytest.fixture
-def anyio_backend() -> str:
-    return "asyncio"
-
-
 class _PostgreSQL:
     """What `Reading` asks of an engine."""
 

@@ -1,9 +1,27 @@
+"""The layout of charts: curves, UpSet plots and polar plots."""
+
 import pytest
 
-from api.dashboard.charts import BOTTOM, HEIGHT, LEFT, RIGHT, TOP, WIDTH, chart
+from api.dashboard.charts import (
+    BAR,
+    BOTTOM,
+    COLUMN,
+    GROUPS_WIDTH,
+    HEIGHT,
+    LEFT,
+    RADIUS,
+    RIGHT,
+    SHAPLEY,
+    TOP,
+    WIDTH,
+    ZERO,
+    chart,
+    polar,
+    upset,
+)
 from api.dashboard.views import charts, trace_of_events
 from services.jobs.models import Event
-from tests.unit.api.dashboard_records import row
+from tests.unit.api.dashboard_records import ATTRIBUTION, row
 
 
 def coordinates(path: str | None) -> list[tuple[float, float]]:
@@ -77,3 +95,62 @@ def test_steps_told_twice_count_as_told_last() -> None:
     rows = trace_of_events(events)
     assert [r["step"] for r in rows] == [0, 1, 2, 3]
     assert [r["loss"] for r in rows[2:]] == [0.5, 0.25]
+
+
+WORDS = {"normals": "surface normals", "illumination": "illumination"}
+FILES = ["original.png", "attacked.png", "subset-1.png"]
+SUBSETS = [
+    {"groups": groups, "outcome": outcome, "goal_probability": p, "fooled": outcome == "fooled"}
+    for groups, outcome, p in (
+        ([], "held", 0.8),
+        (["normals"], "held", 0.5),
+        (["illumination"], "held", 0.6),
+        (["normals", "illumination"], "fooled", 0.25),
+    )
+]
+
+
+def test_a_column_has_the_image_bar_and_dots_of_its_subset() -> None:
+    made = upset(SUBSETS, ATTRIBUTION, WORDS, FILES)
+    assert made is not None
+    assert [one.image for one in made.columns] == ["original.png", "subset-1.png", "", "attacked.png"]
+    assert [(made.bars - one.top) / BAR for one in made.columns] == pytest.approx([0.8, 0.5, 0.6, 0.25])
+    first, second = (group.y for group in made.groups)
+    assert [one.dots for one in made.columns] == [
+        [(first, a), (second, b)] for a, b in ((False, False), (True, False), (False, True), (True, True))
+    ]
+    assert [one.line for one in made.columns] == [None, None, None, (first, second)]
+    assert [one.met for one in made.columns] == [False, False, False, True]
+    assert made.columns[1].words == "surface normals"
+    assert made.columns[3].words == "surface normals + illumination"
+    assert made.columns[3].x + COLUMN / 2 == made.width
+    assert made.columns[0].x - COLUMN / 2 == GROUPS_WIDTH
+    without = upset(SUBSETS, ATTRIBUTION, WORDS, [])
+    assert without is not None
+    assert {one.image for one in without.columns} == {""}
+
+
+def test_bars_of_shapley_values_leave_zero_to_either_side() -> None:
+    attribution = ATTRIBUTION | {"log_odds": {"shapley": [-2.0, 0.5]}}
+    made = upset(SUBSETS, attribution, WORDS, FILES)
+    assert made is not None
+    longest, short = made.groups
+    assert (longest.start, longest.width) == (ZERO - SHAPLEY, SHAPLEY)
+    assert (short.start, short.width) == (ZERO, SHAPLEY / 4)
+
+
+def test_of_one_group_there_is_nothing_to_tell() -> None:
+    assert upset(SUBSETS[:2], ATTRIBUTION, {"normals": "surface normals"}, FILES) is None
+
+
+def test_the_largest_value_of_both_has_the_radius() -> None:
+    made = polar({"name": "red", "angles": [-90.0, 0.0, 90.0], "before": [1.0, 2.0, 1.0], "after": [0.0, 4.0, 2.0]})
+    assert made.largest == 4
+    assert made.after == f"M0 0 L0 0 L0 -{RADIUS:g} L{RADIUS / 2:g} 0 Z"
+    assert made.before == f"M0 0 L-{RADIUS / 4:g} 0 L0 -{RADIUS / 2:g} L{RADIUS / 4:g} 0 Z"
+    assert made.rows[1] == (0.0, 2.0, 4.0)
+
+
+def test_nothing_reflected_is_a_point() -> None:
+    made = polar({"name": "red", "angles": [0.0], "before": [0.0], "after": [0.0]})
+    assert made.before == "M0 0 L0 0 Z"
