@@ -17,11 +17,11 @@ from tests.integration.conftest import PATIENCE
 pytestmark = pytest.mark.integration
 
 
-def demo(data: Path, *arguments: str) -> "subprocess.Popen[str]":
+def in_background(*command: str, **environ: str) -> "subprocess.Popen[str]":
     """Started as a shell without job control starts what runs in the background: with SIGINT ignored."""
     return subprocess.Popen(
-        ["sh", "-c", 'trap "" INT; exec "$@"', "sh", sys.executable, "-m", "client", "demo", *arguments],
-        env=os.environ | {"SCENE_ATTACK_DATA": str(data), "SCENE_ATTACK_PORT": "0"},
+        ["sh", "-c", 'trap "" INT; exec "$@"', "sh", *command],
+        env=os.environ | environ,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -38,8 +38,11 @@ def address(process: "subprocess.Popen[str]") -> str:
 
 
 def test_once_runs_every_job_shows_the_table_and_leaves_nothing_running(tmp_path: Path) -> None:
-    process = demo(tmp_path, "--once")
+    environ = {"SCENE_ATTACK_DATA": str(tmp_path), "SCENE_ATTACK_PORT": "0"}
+    process = in_background(sys.executable, "-m", "client", "demo", "--once", **environ)
     url = address(process)
+    tree = psutil.Process(process.pid).children(recursive=True)
+    assert len(tree) >= 4  # supervisor, Redis, API, worker
     table, _ = process.communicate(timeout=840)
     assert process.returncode == 0, table
     rows = [line for line in table.splitlines() if re.search(r"\b(fooled|held)\b", line)]
@@ -57,18 +60,40 @@ def test_once_runs_every_job_shows_the_table_and_leaves_nothing_running(tmp_path
     assert sum("fooled" in row and "yes" in row for row in torch) >= 2
     with pytest.raises(httpx.ConnectError):
         httpx.get(url)
+    _, alive = psutil.wait_procs(tree, timeout=PATIENCE)
+    assert not alive
+
+
+SERVICE = "#!/bin/sh\necho ready http://127.0.0.1:9\nexec sleep 1000\n"
+"""A program that stands for the service: it says that it is ready, and stays."""
+RUNS_SERVICE = """
+import sys
+from pathlib import Path
+
+from client.commands.demo import running_service
+
+sys.executable = sys.argv[1]
+with running_service(Path(sys.argv[2]), {}) as (url, process):
+    print(url, flush=True)
+    process.wait()
+"""
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGKILL])
 def test_however_it_is_ended_its_service_ends_too(tmp_path: Path, number: signal.Signals) -> None:
-    process = demo(tmp_path)
+    """That `serve` then ends what it started is in test_recovery and test_service_lock."""
+    service = tmp_path / "service"
+    service.write_text(SERVICE)
+    service.chmod(0o755)
+    process = in_background(sys.executable, "-c", RUNS_SERVICE, str(service), str(tmp_path / "data"))
     try:
-        address(process)
-        tree = psutil.Process(process.pid).children(recursive=True)
-        assert len(tree) >= 4  # supervisor, Redis, API, worker
+        assert process.stdout is not None
+        assert process.stdout.readline() == "http://127.0.0.1:9\n"
+        children = psutil.Process(process.pid).children()
+        assert len(children) == 1
         process.send_signal(number)
         process.communicate(timeout=PATIENCE)
-        _, alive = psutil.wait_procs(tree, timeout=PATIENCE)
+        _, alive = psutil.wait_procs(children, timeout=PATIENCE)
         assert not alive
     finally:
         process.kill()
