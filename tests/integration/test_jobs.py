@@ -77,10 +77,6 @@ def test_processes_stay_warm_between_jobs(stack: Stack) -> None:
     assert stack.one("worker.job_process").pid == before
 
 
-def test_the_same_request_gives_the_same_bits(stack: Stack) -> None:
-    assert perturbation(stack, stack.submit(long(10))) == perturbation(stack, stack.submit(long(10)))
-
-
 def perturbation(stack: Stack, job_id: str) -> str:
     assert stack.ended(job_id)["state"] == "succeeded"
     files = stack.client.get(f"/v1/jobs/{job_id}/artifacts").json()["items"]
