@@ -1,9 +1,6 @@
 """The command line against the real stack."""
 
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -11,14 +8,14 @@ import pytest
 
 from tests.integration.conftest import Stack
 from tests.integration.specs import ENDLESS, QUICK
+from tests.unit.client.command_line import Done, process
+from tests.unit.client.command_line import cli as run
 
 pytestmark = pytest.mark.integration
 
 
-def cli(stack: Stack, *arguments: str, spec: dict[str, Any] | None = None) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "client", *arguments, "--url", str(stack.client.base_url)]
-    stdin = "" if spec is None else json.dumps(spec)
-    return subprocess.run(command, input=stdin, capture_output=True, text=True, check=False, timeout=300)
+def cli(stack: Stack, *arguments: str, spec: dict[str, Any] | None = None) -> Done:
+    return run(*arguments, "--url", str(stack.client.base_url), stdin="" if spec is None else json.dumps(spec))
 
 
 def test_submit_watch_download_and_replay(stack: Stack, tmp_path: Path) -> None:
@@ -37,8 +34,7 @@ def test_submit_watch_download_and_replay(stack: Stack, tmp_path: Path) -> None:
     assert cli(stack, "jobs", "watch", job["id"]).returncode == 0
     assert cli(stack, "jobs", "download", job["id"], "--out", str(tmp_path)).returncode == 0
     assert json.loads((tmp_path / "result.json").read_text()) == job["result"]
-    again = subprocess.run([sys.executable, "-m", "client", "replay", str(tmp_path)], check=False, timeout=300)
-    assert again.returncode == 0
+    assert run("replay", str(tmp_path)).returncode == 0
 
 
 def test_cancel_and_watch_a_cancelled_job(stack: Stack) -> None:
@@ -74,9 +70,7 @@ def test_a_mesh_is_added_and_attacked(stack: Stack, tmp_path: Path) -> None:
 
 
 def test_doctor_tries_drivers_kernels_and_weights(tmp_path: Path) -> None:
-    environ = os.environ | {"SCENE_ATTACK_DATA": str(tmp_path), "PYOPENGL_PLATFORM": "no-platform"}
-    command = [sys.executable, "-m", "client", "doctor", "--json"]
-    done = subprocess.run(command, env=environ, capture_output=True, text=True, check=False)
+    done = process("doctor", "--json", SCENE_ATTACK_DATA=str(tmp_path), PYOPENGL_PLATFORM="no-platform")
     found = {one["subject"]: one["level"] for one in json.loads(done.stdout)}
     assert (done.returncode, found["OpenGL"]) == (1, "fail")
     assert found["device"] == found["kernels"] == found["default network"] == found["Redis"] == "ok"
