@@ -10,11 +10,14 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import httpx
 import psutil
 import pytest
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
 
 TERMINAL = ("succeeded", "failed", "rejected", "cancelled")
 PATIENCE = 300.0
@@ -145,6 +148,15 @@ def end(process: "subprocess.Popen[str]", number: signal.Signals) -> None:
     for left in alive:
         left.kill()
     assert not alive, f"left running: {[left.cmdline() for left in alive if left.is_running()]}"
+
+
+@pytest.fixture(scope="module")
+def browser() -> "Iterator[Browser]":
+    """A browser for a file: while one runs, no other event loop can in this process."""
+    from tests.integration.browser import launched
+
+    with launched() as browser:
+        yield browser
 
 
 @pytest.fixture(scope="session")

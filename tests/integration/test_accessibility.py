@@ -1,8 +1,7 @@
-"""Every page in a real browser, light and dark, wide and narrow: axe-core finds nothing serious, nothing overflows, the
-browser has nothing to complain about, and nothing is asked of another site. `out/screenshots` then shows the pages.
+"""Every page in a real browser, light and wide, and dark and narrow: axe-core finds nothing serious, nothing overflows,
+the browser has nothing to complain about, and nothing is asked of another site. `out/screenshots` then shows the pages.
 """
 
-from collections.abc import Iterator
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,7 @@ import pytest
 from playwright.sync_api import Browser, ConsoleMessage, Page
 
 from tests.dashboard_pages import ELSEWHERE, PAGES
-from tests.integration.browser import fresh_page, launched
+from tests.integration.browser import fresh_page
 from tests.integration.conftest import Stack, until
 from tests.integration.specs import GROUPS, QUICK
 
@@ -22,8 +21,8 @@ SCREENSHOTS = Path(__file__).parents[2] / "out" / "screenshots"
 VENDORED = Path(__file__).parent / "vendor"
 AXE = (VENDORED / "axe.min.js").read_text()
 RUN = "async () => (await axe.run(document, {resultTypes: ['violations']})).violations"
-THEMES = ("light", "dark")
-WIDTHS = (1440, 390)
+LOOKS = (("light", 1440), ("dark", 390))
+"""Themes and widths. Colours depend on the theme alone, and the layout on the width alone."""
 CAMPAIGN: dict[str, Any] = {
     "name": "accessible",
     "grids": [
@@ -37,12 +36,6 @@ CAMPAIGN: dict[str, Any] = {
         }
     ],
 }
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with launched() as browser:
-        yield browser
 
 
 @pytest.fixture(scope="module")
@@ -62,8 +55,7 @@ def test_axe_is_the_file_that_is_listed() -> None:
     assert sha256(AXE.encode()).hexdigest() in (VENDORED / "VENDORED.md").read_text()
 
 
-@pytest.mark.parametrize("width", WIDTHS)
-@pytest.mark.parametrize("theme", THEMES)
+@pytest.mark.parametrize(("theme", "width"), LOOKS)
 @pytest.mark.parametrize("name", [*PAGES, *ELSEWHERE])
 def test_a_page_is_accessible(
     stack: Stack, browser: Browser, filled: dict[str, str], name: str, theme: Any, width: int

@@ -6,32 +6,16 @@ from typing import Any
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
-from tests.integration.browser import fresh_page, job_state, launched, wait_for_images
-from tests.integration.conftest import Stack, serving
+from tests.integration.browser import fresh_page, job_state, wait_for_images
+from tests.integration.conftest import Stack
 from tests.integration.specs import ENDLESS, QUICK
 
 pytestmark = pytest.mark.integration
 
-SEEDED = """
-from services.questions.executor import ANSWERS
-from services.targets.iep.card import CARD
-from services.targets.info import register
-
-
-@register(CARD.model_copy(update={"name": "iep-seeded"}), lambda: ANSWERS)
-def load(dtype):
-    import torch
-
-    from tests.unit.targets.iep.seeded import target
-
-    with torch.enable_grad():  # the generator learns its questions; a job is prepared without gradients
-        return target()
-"""
-"""An extension: a target that answers questions, whose weights are random and not those that ship."""
 ASKED: dict[str, Any] = {
     "generate": {"seed": 8, "index": 2, "objects": 4},
     "target": {
-        "name": "iep-seeded",
+        "name": "iep",
         "question": [
             {"function": "scene"},
             {"function": "filter_color", "inputs": [0], "value_inputs": ["red"]},
@@ -49,12 +33,6 @@ COVERED = """panes => panes.every(pane => {
   return image.width > 50 && ['x', 'y', 'width', 'height'].every(side => Math.abs(image[side] - mask[side]) < 1);
 })"""
 """Whether each mask lies on the whole of its image."""
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with launched() as browser:
-        yield browser
 
 
 @pytest.fixture
@@ -75,15 +53,6 @@ def endless(stack: Stack) -> Iterator[str]:
     yield job_id
     stack.client.post(f"/v1/jobs/{job_id}/cancel")
     stack.ended(job_id)
-
-
-@pytest.fixture(scope="module")
-def answering(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
-    """A stack with a target that answers questions."""
-    extension = tmp_path_factory.mktemp("extensions") / "seeded.py"
-    extension.write_text(SEEDED)
-    with serving(tmp_path_factory.mktemp("answering") / "data", SCENE_ATTACK_EXTENSIONS=str(extension)) as stack:
-        yield stack
 
 
 def test_list_and_job_page_of_a_finished_job(stack: Stack, page: Page) -> None:
@@ -138,20 +107,17 @@ def test_the_list_moves_by_itself(stack: Stack, page: Page) -> None:
     expect(row.locator(".badge").first).to_have_text("succeeded")
 
 
-def test_a_question_s_page_shows_what_its_functions_attend_to(answering: Stack, page: Page) -> None:
-    job = answering.ended(answering.submit(ASKED))
+def test_a_question_s_page_shows_what_its_functions_attend_to(stack: Stack, page: Page) -> None:
+    """All masks are there, and each covers the image that it is of."""
+    job = stack.ended(stack.submit(ASKED))
     assert job["state"] == "succeeded", job["failure"]
-    page.goto(f"{answering.client.base_url}/")
-    page.get_by_role("link", name="A program of 6 functions that asks for a number").click()
-    look_at_a_program(page, functions=6, attending=5)
-
-
-def look_at_a_program(page: Page, functions: int, attending: int) -> None:
-    """Checks the program on a job's page: all masks are there, and each covers the image that it is of."""
-    expect(page.locator("h1")).to_have_text(f"A program of {functions} functions that asks for a number")
-    expect(page.locator(".step")).to_have_count(functions)
+    page.goto(f"{stack.client.base_url}/")
+    name = "A program of 6 functions that asks for a number"
+    page.locator(f'a[href="/jobs/{job["id"]}"]', has_text=name).click()
+    expect(page.locator("h1")).to_have_text(name)
+    expect(page.locator(".step")).to_have_count(6)
     panes = page.locator(".attended")
-    expect(panes).to_have_count(2 * attending)
+    expect(panes).to_have_count(2 * 5)
     for pane in panes.all():
         pane.scroll_into_view_if_needed()  # images are loaded when they come into view
     wait_for_images(page.locator(".attended img"))

@@ -12,7 +12,7 @@ from api.main import create_app
 from api.requests import Services
 from benchmarks.filled_record import fill
 from services.settings import Settings
-from tests.integration.browser import fresh_page, launched
+from tests.integration.browser import fresh_page
 from tests.unit.api.conftest import serving
 
 pytestmark = pytest.mark.integration
@@ -39,12 +39,6 @@ def client(app: FastAPI) -> Iterator[httpx.Client]:
 def services(app: FastAPI, client: httpx.Client) -> Services:  # noqa: ARG001 - it starts the app
     found: Services = app.state.services
     return found
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with launched() as browser:
-        yield browser
 
 
 @pytest.fixture

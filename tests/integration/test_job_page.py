@@ -9,7 +9,7 @@ from PIL import Image
 from playwright.sync_api import Browser, Page, expect
 
 from services.attacks.run import saved_step
-from tests.integration.browser import fresh_page, launched, wait_for_images
+from tests.integration.browser import fresh_page, wait_for_images
 from tests.integration.conftest import Stack, until
 from tests.integration.specs import ENDLESS, GROUPS, QUICK
 
@@ -24,12 +24,6 @@ COLOURS = """([[x, y], ...more]) => {
   return [[x, y], ...more].map(([x, y]) => [...context.getImageData(x * ratio, y * ratio, 1, 1).data.slice(0, 3)]);
 }"""
 """The colours that the viewer shows at points of its canvas, in CSS pixels from its corner."""
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with launched() as browser:
-        yield browser
 
 
 @pytest.fixture

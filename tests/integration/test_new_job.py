@@ -12,10 +12,10 @@ import pytest
 from PIL import Image
 from playwright.sync_api import Browser, ConsoleMessage, Page, Route, expect
 
-from tests.integration.browser import fresh_page, launched
+from tests.integration.browser import fresh_page
 from tests.integration.conftest import Stack, until
 from tests.integration.specs import QUICK
-from tests.integration.test_accessibility import AXE, RUN, THEMES, WIDTHS, save, watched
+from tests.integration.test_accessibility import AXE, LOOKS, RUN, save, watched
 
 pytestmark = pytest.mark.integration
 
@@ -23,12 +23,6 @@ LIGHT = "canvas => [...canvas.getContext('2d').getImageData(0, 0, canvas.width, 
 """The pixels of the preview."""
 UNFOLD = "one => { while ((one = one.parentElement.closest('details'))) one.open = true }"
 """Opens the folds around a field."""
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with launched() as browser:
-        yield browser
 
 
 @pytest.fixture
@@ -179,8 +173,7 @@ def test_without_a_script_the_json_is_a_form(stack: Stack, browser: Browser) -> 
         page.wait_for_url("**/jobs/*")
 
 
-@pytest.mark.parametrize("width", WIDTHS)
-@pytest.mark.parametrize("theme", THEMES)
+@pytest.mark.parametrize(("theme", "width"), LOOKS)
 def test_the_whole_form_is_accessible(stack: Stack, browser: Browser, theme: Any, width: int) -> None:
     """With its preview, every fold open, a list of errors, and messages at fields of all kinds."""
     with fresh_page(browser, color_scheme=theme, viewport={"width": width, "height": 900}) as page:

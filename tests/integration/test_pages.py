@@ -6,19 +6,13 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
-from tests.integration.browser import fresh_page, launched, wait_for_images
+from tests.integration.browser import fresh_page, wait_for_images
 from tests.integration.conftest import Stack
 from tests.integration.test_accessibility import filled, watched
 from tests.unit.scenes.test_companion_files import MTL, OBJ
 
 pytestmark = pytest.mark.integration
 __all__ = ["filled"]
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with launched() as browser:
-        yield browser
 
 
 @pytest.fixture(params=[True, False], ids=["script", "no script"])

@@ -23,7 +23,7 @@ from tests.integration.scene3d_view import (
     radio,
     stored,
 )
-from tests.integration.test_accessibility import AXE, RUN, THEMES, WIDTHS
+from tests.integration.test_accessibility import AXE, LOOKS, RUN
 from tests.integration.test_export import textured_glb
 
 pytestmark = pytest.mark.integration
@@ -269,8 +269,7 @@ def test_a_viewpoint_is_the_camera_of_the_service(stack: Stack, browser: Browser
             assert [view[name] for name in ("azimuth", "elevation", "distance", "roll")] == pytest.approx(camera)
 
 
-@pytest.mark.parametrize("width", WIDTHS)
-@pytest.mark.parametrize("theme", THEMES)
+@pytest.mark.parametrize(("theme", "width"), LOOKS)
 def test_the_open_view_is_accessible(
     stack: Stack, browser: Browser, jobs: dict[str, str], theme: str, width: int
 ) -> None:

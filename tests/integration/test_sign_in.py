@@ -16,9 +16,6 @@ from services.settings import Settings
 from tests.integration.browser import fresh_page, job_state
 from tests.integration.conftest import Stack, serving
 from tests.integration.specs import ENDLESS
-from tests.integration.test_dashboard import browser
-
-__all__ = ["browser"]
 
 pytestmark = pytest.mark.integration
 
