@@ -138,10 +138,9 @@ def _train(name: str, minutes: float | None, epochs: int | None, out: Path, seed
     from client.console import out as stdout
     from client.specs import local_library
     from services.errors import InvalidRequest
-    from training.data import gather
     from training.export import write
     from training.split import committed
-    from training.training import RECIPES, Budget, Report, Training, load_trained
+    from training.training import RECIPES, Budget, Report, Training, gather, load_trained
 
     if not export and (minutes is None) == (epochs is None):
         raise InvalidRequest("--minutes", "give either --minutes or --epochs")

@@ -3,19 +3,25 @@
 Each stage goes on where it was, so that a training that is ended and begun again ends in the same bits.
 """
 
+import hashlib
+import io
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
 import torch
-from torch import nn
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save
+from torch import Tensor, nn
 
+from services import disk
+from services.errors import InvalidRequest
+from services.rendering.color import from_bytes
 from services.scenes.library import Library
 from services.targets.iep.checkpoint import round_weights
-from services.targets.iep.engine import Network
+from services.targets.iep.engine import Network, Trunk
 from services.targets.iep.program_generator import ProgramGenerator
-from training.iep import features
-from training.iep.data import DataFolder, Images, Said, examples_of, objects_of
+from training.iep.data import DataFolder, Images, Said, Shard, examples_of, objects_of
 from training.iep.engine_training import engine_step
 from training.iep.generator_training import generator_step
 from training.iep.loop import Report, Schedule, Step, TrainingLoop
@@ -71,7 +77,7 @@ class Stages:
         if not self._train("trunk", self.finder, recipe.trunk, step, data.digest("train")):
             return False
         round_weights(self.finder.trunk.requires_grad_(False).eval())
-        return features.write_missing(self._features, self.finder.trunk, data, "train", self._said, self._over)
+        return write_features(self._features, self.finder.trunk, data, "train", self._said, self._over)
 
     def _train_engine(self) -> bool:
         recipe, data, engine = self.recipe, self.data, self.network.engine
@@ -82,10 +88,10 @@ class Stages:
         def step() -> Step:
             of = data.read_all("train")
             examples, cells = list(examples_of(of)), [[truth.cell for truth in scene] for scene in objects_of(of)]
-            inputs = features.read_all(self._features, data, "train")
+            inputs = read_features(self._features, data, "train")
             return engine_step(engine, inputs, examples, cells, recipe.engine_batch)
 
-        return self._train("engine", engine, recipe.engine, step, features.digest_of(trunk))
+        return self._train("engine", engine, recipe.engine, step, digest_of(trunk))
 
     def _train_generator(self) -> bool:
         recipe, data = self.recipe, self.data
@@ -114,3 +120,59 @@ class Stages:
     @property
     def _features(self) -> Path:
         return self._folder / "features"
+
+
+AT_ONCE = 20
+"""Images that the trunk sees together."""
+
+
+@torch.no_grad()
+def features_of(trunk: Trunk, shard: Shard) -> Tensor:
+    """Returns a frozen trunk's features of the images of a shard, [n, 96, 15, 20] in half precision."""
+    images = Images([shard])
+    batches = []
+    for start in range(0, len(images), AT_ONCE):
+        shown = images(range(start, min(start + AT_ONCE, len(images))))
+        batches.append(trunk(from_bytes(torch.from_numpy(shown))).half())
+    return torch.cat(batches).contiguous()
+
+
+def digest_of(trunk: Trunk) -> str:
+    """Returns the digest of a trunk's weights."""
+    buffer = io.BytesIO()
+    for value in trunk.state_dict().values():
+        buffer.write(value.detach().contiguous().numpy().tobytes())
+    return hashlib.sha256(buffer.getvalue()).hexdigest()
+
+
+def write_features(
+    folder: Path, trunk: Trunk, data: DataFolder, split: Split, said: Said, over: Callable[[], bool]
+) -> bool:
+    """Writes the features of a split's shards that are not there, until it is over; returns whether all are there."""
+    pieces, about = data.pieces(split), digest_of(trunk)
+    for number, piece in enumerate(pieces):
+        path = folder / data.path(piece).name
+        if path.exists() and _trunk_of(path) == about:
+            continue
+        if over():
+            return False
+        disk.write(path, save({"features": features_of(trunk, data.read(piece))}, {"trunk": about}))
+        said("computing features", number + 1, len(pieces), "")
+    return True
+
+
+def read_features(folder: Path, data: DataFolder, split: Split) -> Tensor:
+    """Returns the features of all images of a split, float16 [V, 96, 15, 20]."""
+    shards = []
+    for piece in data.pieces(split):
+        with safe_open(folder / data.path(piece).name, framework="pt") as file:
+            shards.append(file.get_tensor("features"))
+    return torch.cat(shards)
+
+
+def _trunk_of(path: Path) -> str:
+    try:
+        with safe_open(path, framework="pt") as file:
+            return str((file.metadata() or {}).get("trunk"))
+    except (SafetensorError, OSError) as error:
+        raise InvalidRequest("--out", f"{path} is damaged ({error}); delete it, and it is made anew") from error

@@ -7,9 +7,8 @@ from services.errors import InvalidRequest
 from services.targets.architectures import fill_by_name
 from services.targets.weights_file import dequantize, quantize
 from training.batches import shade
-from training.data import gather
 from training.export import ARCHITECTURES
-from training.training import RECIPES, Budget, TrainableAlexNet, Training, load_trained, weights
+from training.training import RECIPES, Budget, TrainableAlexNet, Training, gather, load_trained, weights
 
 pytestmark = pytest.mark.slow
 

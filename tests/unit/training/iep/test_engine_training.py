@@ -7,8 +7,8 @@ import torch
 
 from services.targets.iep.engine import Engine
 from tests.unit.training.iep.conftest import Data
-from training.iep.checking import answers, by_family
 from training.iep.engine_training import EVERYTHING_FROM, Draw, chances, engine_step, execute
+from training.iep.export import answers, by_family
 from training.iep.loop import Schedule, TrainingLoop
 
 pytestmark = pytest.mark.slow

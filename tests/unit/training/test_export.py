@@ -1,8 +1,7 @@
 import pytest
 import torch
 
-from training.evaluation import Images, clustered_error, confusion
-from training.export import measured
+from training.export import Images, clustered_error, confusion, measured
 from training.split import committed
 
 

@@ -9,15 +9,15 @@ from torch import Tensor
 from services.attacks.outcome import wilson
 from services.errors import InvalidRequest
 from services.questions.executor import ANSWERS
-from services.questions.program import Program
+from services.questions.program import Node, Program
 from services.targets.iep.assembly import Question, assemble
 from services.targets.iep.checkpoint import Checkpoint
 from services.targets.iep.engine import Network
 from tests.unit.targets.iep import world
-from training.iep import checking
-from training.iep.checking import Outcome, answered, disagreements, figures
+from training.iep import export
 from training.iep.data import shard
 from training.iep.examples import Example
+from training.iep.export import Outcome, answered, by_family, disagreements, figures
 
 
 class Known:
@@ -33,7 +33,7 @@ class Known:
 def test_answers_are_those_of_the_programs_that_were_made_of_the_texts(monkeypatch: pytest.MonkeyPatch) -> None:
     from services.scenes.clevr.generator import generate
 
-    monkeypatch.setattr(checking, "AT_ONCE", 2)
+    monkeypatch.setattr(export, "AT_ONCE", 2)
     torch.manual_seed(0)
     network = Network().eval().requires_grad_(False)
     random = Random(4)
@@ -92,3 +92,22 @@ def test_shares_outside_the_committed_intervals_disagree() -> None:
     del found["by_renderer"]["torch"]
     said = disagreements(found, committed)
     assert [line.split(" is ")[0] for line in said] == ["by_renderer torch", "answers 3-6 overall"]
+
+
+COUNT = Program((Node("scene", (), ()), Node("filter_size", (0,), ("small",)), Node("count", (1,), ())))
+EXIST = Program((Node("scene", (), ()), Node("exist", (0,), ())))
+
+
+def test_shares_are_counted_by_family() -> None:
+    examples = [
+        Example(0, "", program, (), family)
+        for program, family in ((COUNT, "count"), (COUNT, "count"), (COUNT, "count"), (EXIST, "exist"))
+    ]
+    families = by_family(examples, [True, False, True, False])
+    assert {name: (one.right, one.of) for name, one in families.items()} == {
+        "overall": (2, 4),
+        "count": (2, 3),
+        "exist": (0, 1),
+    }
+    assert families["count"].share == pytest.approx(2 / 3)
+    assert families["count"].interval == wilson(2, 3)
