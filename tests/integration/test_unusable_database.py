@@ -58,7 +58,7 @@ UNUSABLE: dict[str, tuple[Callable[[Path], None], str]] = {
 
 @pytest.mark.parametrize(
     ("kind", "commands"),
-    [("no database", COMMANDS), ("foreign", COMMANDS), ("newer", COMMANDS[:1]), ("older", COMMANDS[-1:])],
+    [("no database", COMMANDS), ("foreign", ("keys list",)), ("newer", COMMANDS[:1]), ("older", COMMANDS[-1:])],
 )
 def test_a_database_that_cannot_be_used_is_one_sentence(
     kind: str, commands: tuple[str, ...], tmp_path: Path, redis_url: str
