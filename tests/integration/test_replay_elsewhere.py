@@ -27,6 +27,7 @@ from services.scenes.bundle import About, Bundle
 from services.scenes.library import Library
 from services.settings import Settings
 from services.targets.architectures import ARCHITECTURES, Architecture
+from tests.unit.client.command_line import cli
 
 pytestmark = pytest.mark.integration
 
@@ -132,19 +133,19 @@ def plain_text(inline: Token) -> str:
     return "".join(one.content for one in inline.children or ())
 
 
-def test_a_changed_upload_is_not_taken_for_the_one_that_was_sent(library: Library, home: Path, tmp_path: Path) -> None:
+def test_a_changed_upload_is_not_taken_for_the_one_that_was_sent(library: Library, tmp_path: Path) -> None:
     scene = scenes(library)["uploads"] | {"camera": CAMERA}
     done, export = tmp_path / "done", tmp_path / "export"
     execute(parse({"scene": scene, "attack": {"renderer": "image", "steps": 1}}), done, library)
     write_bundle({file.name: file.read_bytes for file in done.iterdir()}, library, into_folder(export))
     [mesh] = export.glob("assets/uploads/*/**/mesh.obj")
     mesh.write_bytes(mesh.read_bytes().replace(b"v 0.5", b"v 0.6"))
-    refused = elsewhere(home, "replay", str(export))
+    refused = cli("replay", str(export))
     assert refused.returncode == 2
     assert "are not those that were uploaded" in refused.stderr
     mesh.unlink()
     mesh.symlink_to(tmp_path / "done" / "result.json")
-    refused = elsewhere(home, "replay", str(export))
+    refused = cli("replay", str(export))
     assert refused.returncode == 2
     assert "mesh.obj is neither a file nor a folder" in refused.stderr
 
