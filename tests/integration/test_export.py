@@ -24,6 +24,7 @@ from services.scenes.library import Library
 from services.settings import Settings
 from tests.integration.conftest import PATIENCE, Stack
 from tests.integration.specs import ENDLESS
+from tests.unit.client.command_line import Done, cli
 
 pytestmark = pytest.mark.integration
 
@@ -224,11 +225,8 @@ def test_the_service_exports_a_finished_job(stack: Stack, tmp_path: Path) -> Non
     assert (again.status_code, again.content) == (304, b"")
     assert stack.client.get(f"{url}/export").content == answer.content
 
-    def export(to: Path) -> "subprocess.CompletedProcess[str]":
-        command = [sys.executable, "-m", "client", "export", job["id"], "--url", str(stack.client.base_url)]
-        return subprocess.run(
-            [*command, "--out", str(to)], capture_output=True, text=True, check=False, timeout=PATIENCE, cwd=tmp_path
-        )
+    def export(to: Path) -> Done:
+        return cli("export", job["id"], "--url", str(stack.client.base_url), "--out", str(to))
 
     assert export(tmp_path / "taken").returncode == 0
     taken = tmp_path / "taken"
