@@ -130,8 +130,8 @@ def _beside(spec: JobSpec, out: Path, library: Library, target: Target) -> tuple
     began = time.perf_counter()
     result = execute(spec, out, library, progress=beside)
     job = time.perf_counter() - began - sum(passes)
-    assert (result.stopped, result.steps, len(passes)) == ("steps", spec.attack.steps, spec.attack.steps)
-    return job, result.seconds - sum(passes), sum(passes)
+    assert (result.verdict.stopped, result.cost.steps, len(passes)) == ("steps", spec.attack.steps, spec.attack.steps)
+    return job, result.cost.seconds - sum(passes), sum(passes)
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ PAPER, INK, SOFT = "#ffffff", "#1c1930", "#5d5875"
 
 def figure(directory: Path) -> Image.Image:
     result = Result.model_validate_json((directory / "result.json").read_bytes())
-    perceptibility = f"p = {result.float_perceptibility:.4f}"
+    perceptibility = f"p = {result.p:.4f}"
     panels = [
         ("original.png", f"{result.original.label}, {result.original.confidence:.0%}", "original"),
         ("attacked.png", f"{result.attacked.label}, {result.attacked.confidence:.0%}", "attacked, rendered afresh"),

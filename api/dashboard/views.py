@@ -284,7 +284,7 @@ def subsets(result: dict[str, Any] | None) -> list[dict[str, Any]]:
     """The table of subsets, each with its outcome as if its groups were all of the perturbation."""
     if result is None:
         return []
-    truth, first = result["truth"], result["original"]["label"]
+    truth, first = result["verdict"]["truth"], result["original"]["label"]
     return [
         subset | {"outcome": judge(truth, first, subset["label"], subset["fooled"])} for subset in result["subsets"]
     ]

@@ -127,7 +127,7 @@ def _reference(load: Load, client: Client) -> tuple[list[dict[str, str]], float]
             time.sleep(0.2)
         if job["state"] != "succeeded":
             raise RuntimeError(f"an undisturbed job {job['state']}: {job['failure']}")
-        longest = max(longest, float(job["result"]["seconds"]))
+        longest = max(longest, float(job["result"]["cost"]["seconds"]))
     return [client.files(job_id) for job_id in ids], longest
 
 

@@ -47,6 +47,19 @@ class TraceRow(BaseModel):
     seconds: float = Field(description="run time of the attack so far, over all attempts of the job")
 
 
+class AttackCost(BaseModel):
+    """The cost of an attack, over all attempts of its job; what only its report needs is not counted."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    steps: int
+    queries: int = Field(description="images that the target classified, verification included")
+    surrogate_queries: int = Field(0, description="images that the surrogate classified, if the attack has one")
+    renders: int
+    truncated: int = Field(description="pixels that were truncated in at least one step")
+    seconds: float
+
+
 Verdict = Literal["fooled", "changed", "became-right", "still-wrong", "held"]
 
 Label = TypeVar("Label", int, str)

@@ -17,7 +17,7 @@ from services import disk
 from services.attacks.attack import Attack, State
 from services.attacks.differences import ImageDifferences
 from services.attacks.goal import ResolvedGoal
-from services.attacks.outcome import TraceRow
+from services.attacks.outcome import AttackCost, TraceRow
 from services.attacks.problem import (
     AttackProblem,
     Counts,
@@ -204,6 +204,18 @@ class AttackRun:
         """The best perturbation, by group."""
         assert self.best is not None
         return self.problem.layout.unflatten(self.best.delta)
+
+    def cost(self) -> AttackCost:
+        """The cost until now. `seconds` is that of the last row of the trace."""
+        counts = self.problem.counts
+        return AttackCost(
+            steps=self.step,
+            queries=counts.queries,
+            surrogate_queries=counts.surrogate_queries,
+            renders=counts.renders,
+            truncated=int(self.ever_truncated.sum()),
+            seconds=self.trace[-1].seconds,
+        )
 
     @property
     def sampled_error(self) -> ImageError | None:

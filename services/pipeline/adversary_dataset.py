@@ -119,7 +119,7 @@ def _labels(result: Result) -> tuple[str, ...]:
     name = str(dict(result.spec["target"])["name"])  # type: ignore[call-overload]
     if name in TARGETS:
         return TARGETS[name].labels()
-    return tuple(dict.fromkeys((*result.truth, result.attacked.label)))
+    return tuple(dict.fromkeys((*result.verdict.truth, result.attacked.label)))
 
 
 def _metadata(result: Result, number: str) -> AdversaryMetadata:
@@ -131,11 +131,11 @@ def _metadata(result: Result, number: str) -> AdversaryMetadata:
         azimuth=spec["scene"]["camera"]["azimuth"],
         attack=attack_name(spec),
         seed=result.provenance.seed,
-        truth=result.truth,
+        truth=result.verdict.truth,
         answer=result.attacked.label,
         confidence=result.attacked.confidence,
         original_confidence=result.original.confidence,
-        perceptibility=result.perceptibility,
-        queries=result.queries,
+        perceptibility=result.change.perceptibility,
+        queries=result.cost.queries,
         credits=result.provenance.credits,
     )

@@ -384,22 +384,22 @@ def reusable(result: Result, planned: Planned) -> bool:
 
 def case_of(planned: Planned, result: Result, *, run_seconds: float | None = None, reused: bool = False) -> Case:
     """The case of a job that ran to its end."""
-    right = bool(result.right_before)
-    rows = [row for row in result.trace if row.step == result.step]
+    right = bool(result.verdict.right_before)
+    rows = [row for row in result.trace if row.step == result.change.step]
     return Case(
         target=planned.target,
         attack=planned.attack,
         state="succeeded",
         right=right,
         outcome=result.outcome,
-        epsilon_bound=result.epsilon_bound,
+        epsilon_bound=result.change.epsilon_bound,
         success=success(result),
-        loop_success=right and result.fooled,
-        perceptibility=result.float_perceptibility,
+        loop_success=right and result.verdict.fooled,
+        perceptibility=result.p,
         loop_perceptibility=rows[-1].perceptibility if rows else None,
-        truncated=result.truncated,
-        queries=result.queries,
-        seconds=result.seconds,
+        truncated=result.cost.truncated,
+        queries=result.cost.queries,
+        seconds=result.cost.seconds,
         run_seconds=run_seconds,
         reused=reused,
     )

@@ -4,7 +4,6 @@ Of an attack that was ended before its time, `best_so_far` keeps the best of its
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Literal
@@ -13,12 +12,11 @@ import torch
 from pydantic import BaseModel, ConfigDict, Field
 from torch import Tensor
 
-from services.analysis import images
 from services.analysis.attribution import of_subsets
 from services.analysis.expectation import held_over
-from services.analysis.images import answer, beyond, of_float_images, of_groups, of_images
-from services.analysis.records import Answer
-from services.analysis.subsets import scored, subsets
+from services.analysis.images import answer, beyond, of_float_images, of_groups, of_images, save_png
+from services.analysis.records import Answer, HeldOver
+from services.analysis.subsets import ScoredImage, scored, subsets
 from services.attacks.leave_out import LeftOut, leave_out
 from services.attacks.limits import at_epsilon
 from services.attacks.outcome import TraceRow
@@ -29,12 +27,25 @@ from services.errors import Cancelled
 from services.pipeline.analyse import Report, Subject, analyse
 from services.pipeline.extensions import loaded_extensions
 from services.pipeline.prepare import Prepared, lit_by_map, prepare, prepare_exactly
-from services.pipeline.result import BEST_SO_FAR, RESULT, AtEpsilon, JobWarning, Provenance, Result, subset_image
+from services.pipeline.question_record import QuestionResult
+from services.pipeline.result import (
+    BEST_SO_FAR,
+    RESULT,
+    AtEpsilon,
+    JobVerdict,
+    JobWarning,
+    Measured,
+    Provenance,
+    Result,
+    StoredChange,
+    subset_image,
+)
 from services.pipeline.spec import JobSpec
 from services.pipeline.stored import save_change
 from services.process import versions
 from services.rendering.physical_change import Change, changes_in_words
 from services.rendering.plan import Plan
+from services.rendering.protocol import Parameters
 from services.scenes.library import Library
 from services.targets.info import TARGETS
 
@@ -142,26 +153,62 @@ def _write(
     left_out: LeftOut | None,
 ) -> Result:
     out.mkdir(parents=True, exist_ok=True)
-    verifier, settled, original = prepared.verifier, prepared.settled, prepared.original
-    goal, labels = settled.goal, prepared.target.labels
-    cost = replace(run.problem.counts)  # before the looks that belong to the report and not to the attack
+    cost = run.cost()  # before the looks that belong to the report and not to the attack
     assert run.best is not None
-    stored = run.stored
+    stored, verifier, settled, original = run.stored, prepared.verifier, prepared.settled, prepared.original
     attacked = scored(verifier, stored)
-    first = int(original.logits.argmax())
-    limit = prepared.spec.attack.truncation
     ends = original, attacked
-    rows = subsets(verifier, goal, stored, *ends, lambda row, image: images.save_png(image, out / subset_image(row)))
+    rows = subsets(verifier, settled.goal, stored, *ends, lambda row, image: save_png(image, out / subset_image(row)))
     analyses = analyse(Subject(prepared, stored, *ends), prepared.spec.analysis, library, report)
-    asked = prepared.spec.attack.expectation
-    held = None
-    if asked is not None:
-        right = settled.truth or goal.leave or (first,)
-        tick = partial(report, "expectation")
-        held = held_over(verifier, goal, right, stored, asked, seed=prepared.spec.seed, tick=tick)
-    outcome, questions = prepared.task.judge(settled, prepared.renderer.name, stored, *ends, out)
+    held = _held_over(prepared, stored, partial(report, "expectation"))
+    verdict, questions = _verdict(prepared, run, attacked, out)
+    answer_of = partial(answer, labels=prepared.target.labels, goal=settled.goal)
     result = Result(
         spec=prepared.spec.model_dump(mode="json"),
+        verdict=verdict,
+        warnings=list(settled.warnings),
+        original=answer_of(original.logits),
+        attacked=answer_of(attacked.logits),
+        in_loop=answer_of(run.best.scores),
+        change=_stored_change(prepared, run, attacked),
+        plan=_plan(prepared, left_out),
+        measured=Measured(
+            image_error=_image_error(run, attacked.exact), sampled_error=run.sampled_error, settings=settings
+        ),
+        cost=cost,
+        subsets=rows,
+        attribution=of_subsets(rows),
+        expectation=held,
+        analyses=analyses,
+        questions=questions,
+        trace=run.trace,
+        provenance=provenance(prepared),
+    )
+    save_change(prepared, stored, attacked.saved, out)
+    trace = ",\n".join(row.model_dump_json() for row in run.trace)
+    (out / "trace.json").write_text(f"[{trace}]\n", "utf-8")
+    (out / RESULT).write_text(result.model_dump_json(indent=1) + "\n", "utf-8")
+    return result
+
+
+def _held_over(prepared: Prepared, stored: Parameters, tick: Callable[[int, int], None]) -> HeldOver | None:
+    """How the stored perturbation holds over the range that its attack averaged over; None if it did not."""
+    asked = prepared.spec.attack.expectation
+    if asked is None:
+        return None
+    verifier, settled, original = prepared.verifier, prepared.settled, prepared.original
+    right = settled.truth or settled.goal.leave or (int(original.logits.argmax()),)
+    return held_over(verifier, settled.goal, right, stored, asked, seed=prepared.spec.seed, tick=tick)
+
+
+def _verdict(
+    prepared: Prepared, run: AttackRun, attacked: ScoredImage, out: Path
+) -> tuple[JobVerdict, list[QuestionResult]]:
+    """The verdict, and for a network of questions each question's; what it attends to is written into `out`."""
+    settled, original, labels = prepared.settled, prepared.original, prepared.target.labels
+    goal, first = settled.goal, int(original.logits.argmax())
+    outcome, questions = prepared.task.judge(settled, prepared.renderer.name, run.stored, original, attacked, out)
+    verdict = JobVerdict(
         outcome=outcome,
         truth=[labels[i] for i in settled.truth],
         right_before=first in settled.truth if settled.truth else None,
@@ -171,44 +218,25 @@ def _write(
         leave=labels[first] if first in goal.leave else None,
         labels_to_leave=[labels[i] for i in goal.leave],
         reach=None if goal.reach is None else labels[goal.reach],
-        warnings=list(settled.warnings),
-        original=answer(original.logits, labels, goal),
-        attacked=answer(attacked.logits, labels, goal),
-        in_loop=answer(run.best.scores, labels, goal),
+    )
+    return verdict, questions
+
+
+def _stored_change(prepared: Prepared, run: AttackRun, attacked: ScoredImage) -> StoredChange:
+    assert run.best is not None
+    original, limit = prepared.original, prepared.spec.attack.truncation
+    return StoredChange(
+        step=run.best.step,
         float_perceptibility=of_float_images(original.exact, attacked.exact),
         perceptibility=of_images(original.saved, attacked.saved),
-        group_perceptibility=of_groups(prepared.renderer.name, stored),
+        group_perceptibility=of_groups(prepared.renderer.name, run.stored),
         at_epsilon={
             group: AtEpsilon(coordinates=int(values.sum()), share=float(values.double().mean()))
-            for group, values in at_epsilon(stored, run.problem.limits.epsilon).items()
+            for group, values in at_epsilon(run.stored, run.problem.limits.epsilon).items()
         },
         beyond_truncation=None if limit is None else beyond(original.saved, attacked.saved, limit),
-        expectation=held,
-        plan=_plan(prepared, left_out),
-        image_error=_image_error(run, attacked.exact),
-        sampled_error=run.sampled_error,
-        environment_map_error=prepared.renderer.plan.environment_map_error,
-        subsets=rows,
-        attribution=of_subsets(rows),
-        changes=changes_in_words(prepared.scene, prepared.renderer, stored),
-        analyses=analyses,
-        questions=questions,
-        settings=settings,
-        steps=run.step,
-        step=run.best.step,
-        queries=cost.queries,
-        surrogate_queries=cost.surrogate_queries,
-        renders=cost.renders,
-        truncated=int(run.ever_truncated.sum()),
-        seconds=run.trace[-1].seconds,
-        trace=run.trace,
-        provenance=provenance(prepared),
+        things=changes_in_words(prepared.scene, prepared.renderer, run.stored),
     )
-    save_change(prepared, stored, attacked.saved, out)
-    trace = ",\n".join(row.model_dump_json() for row in run.trace)
-    (out / "trace.json").write_text(f"[{trace}]\n", "utf-8")
-    (out / RESULT).write_text(result.model_dump_json(indent=1) + "\n", "utf-8")
-    return result
 
 
 def _plan(prepared: Prepared, left_out: LeftOut | None) -> Plan:

@@ -10,7 +10,7 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from services.analysis.records import Analyses, Answer, Attribution, HeldOver, Subset
-from services.attacks.outcome import SUCCESS, TraceRow, Verdict
+from services.attacks.outcome import SUCCESS, AttackCost, TraceRow, Verdict
 from services.pipeline.question_record import QuestionResult
 from services.rendering.physical_change import Change
 from services.rendering.plan import ImageError, Plan
@@ -92,15 +92,14 @@ class AtEpsilon(_Record):
     share: float = Field(description="their share of the group's values")
 
 
-class Result(_Record):
-    """The outcome of a job that ran to its end.
+class JobVerdict(_Record):
+    """The goal as it was settled, and whether the attack met it.
 
     fooled: the network's answer to the loop's image, truncated and rounded to 8 bits, met the goal. verified: its
     answer to the stored perturbation, rendered afresh by the exact path and rounded to 8 bits, meets the goal too. Only
     a verified perturbation is called an adversary, and only the outcome "fooled" counts as a success.
     """
 
-    spec: dict[str, object]
     outcome: Verdict = Field(
         description="fooled: the answer was right, is wrong, and meets the goal; changed: nobody knows the right "
         "answer, and the new one meets the goal; became-right and still-wrong: the answer was wrong before the attack; "
@@ -120,27 +119,38 @@ class Result(_Record):
         default_factory=list, description="all labels that count as that answer: the truth, or those that mean the same"
     )
     reach: str | None
-    warnings: list[JobWarning] = Field(default_factory=list)
-    original: Answer
-    attacked: Answer = Field(description="the answer to the exact image of the stored perturbation")
-    in_loop: Answer = Field(description="the answer to the loop's image, truncated, at the stored step")
+
+
+class StoredChange(_Record):
+    """The stored perturbation: its size, and what it did to the scene."""
+
+    step: int = Field(description="the step at which it was found")
     float_perceptibility: float = Field(
-        description="p(ΔY) of the exact image of the stored perturbation before it is rounded to 8 bits, which is the "
-        "paper's p; in [0, √3]"
+        description="p(ΔY) of its exact image before it is rounded to 8 bits, which is the paper's p; in [0, √3]"
     )
-    perceptibility: float = Field(
-        description="p(ΔY) of the exact image of the stored perturbation as it is saved, rounded to 8 bits; in [0, √3]"
-    )
+    perceptibility: float = Field(description="p(ΔY) of its exact image as it is saved, rounded to 8 bits; in [0, √3]")
     group_perceptibility: dict[str, float]
     at_epsilon: dict[str, AtEpsilon] = Field(
         {},
-        description="for each attacked group with an ε: the values of the stored perturbation that are at it. Where a "
-        "search held and some are, ε bound it, and nothing is said about perturbations beyond",
+        description="for each attacked group with an ε: the values that are at it. Where a search held and some are, ε "
+        "bound it, and nothing is said about perturbations beyond",
     )
     beyond_truncation: int | None = Field(
         description="pixels of the exact image with a value that differs from the original by more than U"
     )
-    plan: Plan = Field(description="how the images inside the attack were rendered, and their estimated error")
+    things: list[Change] = Field(
+        default_factory=list, description="what it did to each object and light, in words and units"
+    )
+
+    @property
+    def epsilon_bound(self) -> bool:
+        """Whether any of its values is at its ε."""
+        return any(group.coordinates for group in self.at_epsilon.values())
+
+
+class Measured(_Record):
+    """Values measured while the attack ran."""
+
     image_error: float = Field(
         description="measured error, a maximum: largest difference of a displayed value, in [0,1], between the images "
         "of the stored perturbation by the plan and by the exact renderer. `plan.error` is an estimate of it where "
@@ -152,41 +162,50 @@ class Result(_Record):
         "`mean`, the mean absolute error of the displayed values of covered pixels, and "
         "`share`, the share of these pixels that are off by more than 1/255; null where no image was rendered twice",
     )
-    environment_map_error: float | None = Field(
-        None,
-        description="the error of the environment map's resolution, not part of the plan's error: largest difference "
-        "of a displayed value, at up to 256 pixels of each object of the original, from the same scene under a map of "
-        "64×128; null if the renderer uses no map or one of that size",
+    settings: dict[str, object] = Field(
+        description="settings measured at the start of the attack, e.g. difference steps"
     )
+
+
+class Result(_Record):
+    """The outcome of a job that ran to its end."""
+
+    spec: dict[str, object] = Field(description="the request as it ran, with all defaults filled in")
+    verdict: JobVerdict
+    warnings: list[JobWarning] = Field(default_factory=list)
+    original: Answer
+    attacked: Answer = Field(description="the answer to the exact image of the stored perturbation")
+    in_loop: Answer = Field(description="the answer to the loop's image, truncated, at the stored step")
+    change: StoredChange
+    plan: Plan = Field(description="how the images inside the attack were rendered, and their estimated error")
+    measured: Measured
+    cost: AttackCost
     subsets: list[Subset]
     attribution: Attribution = Field(description="Shapley values and interactions of the groups, from `subsets`")
     expectation: HeldOver | None = Field(
         None, description="the share of the attack's range of views, light and noise for which the adversary holds"
     )
-    changes: list[Change] = Field(
-        default_factory=list, description="what the stored perturbation did to the scene, in words and units"
-    )
     analyses: Analyses = Field(Analyses(), description="the analyses that the request asked for")
     questions: list[QuestionResult] = Field(
         [], exclude_if=operator.not_, description="the questions about the image, their programs and their answers"
     )
-    settings: dict[str, object] = Field(
-        description="settings measured at the start of the attack, e.g. difference steps"
-    )
-    steps: int
-    queries: int = Field(description="images that the target classified, verification included")
-    surrogate_queries: int = Field(0, description="images that the surrogate classified, if the attack has one")
-    renders: int
-    truncated: int = Field(description="pixels that were truncated in at least one step")
-    seconds: float
-    step: int = Field(description="the step at which the stored perturbation was found")
     trace: list[TraceRow]
     provenance: Provenance
 
     @property
-    def epsilon_bound(self) -> bool:
-        """Whether any value of the stored perturbation is at its ε."""
-        return any(group.coordinates for group in self.at_epsilon.values())
+    def outcome(self) -> Verdict:
+        """The verdict in one word; only "fooled" counts as a success."""
+        return self.verdict.outcome
+
+    @property
+    def verified(self) -> bool:
+        """Whether the answer to the stored perturbation, rendered afresh and rounded to 8 bits, meets the goal."""
+        return self.verdict.verified
+
+    @property
+    def p(self) -> float:
+        """The paper's p(ΔY) of the stored perturbation, in [0, √3]: of its exact image before it is rounded."""
+        return self.change.float_perceptibility
 
 
 class Outcome(BaseModel):
@@ -237,12 +256,13 @@ def success(record: Outcome | Result) -> bool:
 def outcome(result: Result) -> dict[str, Any]:
     """The outcome of a result as JSON data, which the database stores beside the result."""
     request: Any = result.spec
+    verdict, change, cost = result.verdict, result.change, result.cost
     return Outcome(
-        outcome=result.outcome,
-        right_before=result.right_before,
-        fooled=result.fooled,
-        verified=result.verified,
-        stopped=result.stopped,
+        outcome=verdict.outcome,
+        right_before=verdict.right_before,
+        fooled=verdict.fooled,
+        verified=verdict.verified,
+        stopped=verdict.stopped,
         before=result.original.label,
         before_confidence=result.original.confidence,
         after=result.attacked.label,
@@ -250,11 +270,11 @@ def outcome(result: Result) -> dict[str, Any]:
         answers=[(question.before.label, question.after.label) for question in result.questions]
         if len(result.questions) > 1
         else [],
-        float_perceptibility=result.float_perceptibility,
-        perceptibility=result.perceptibility,
+        float_perceptibility=change.float_perceptibility,
+        perceptibility=change.perceptibility,
         perceptibility_limit=request["attack"].get("perceptibility"),
-        epsilon_bound=result.epsilon_bound,
-        steps=result.steps,
-        queries=result.queries,
-        seconds=result.seconds,
+        epsilon_bound=change.epsilon_bound,
+        steps=cost.steps,
+        queries=cost.queries,
+        seconds=cost.seconds,
     ).model_dump(mode="json")

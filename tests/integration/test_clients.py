@@ -18,7 +18,7 @@ def test_a_program_runs_a_job_and_reads_its_images(stack: Stack, tmp_path: Path)
         job = service.submit_job(QUICK).wait()
         assert job.state == "succeeded", job.failure
         assert job.trace.to_frame()["step"].is_monotonic_increasing
-        assert sorted(job.subsets[-1].groups) == sorted(job.result.group_perceptibility)
+        assert sorted(job.subsets[-1].groups) == sorted(job.result.change.group_perceptibility)
         size = tuple(reversed(QUICK["scene"]["camera"]["size"]))
         assert job.images.original.size == job.images.attacked.size == size
         assert (np.asarray(job.images.original) != np.asarray(job.images.attacked)).any()

@@ -93,10 +93,10 @@ def test_a_job_runs_with_it(extended: Stack, name: str) -> None:
     job = extended.ended(extended.submit({"scene": scene()} | asked))
     assert job["state"] == "succeeded", job["failure"]
     result = job["result"]
-    assert result["stopped"] in ("verified", "steps")
-    assert result["verified"] == (result["stopped"] == "verified")
-    assert result["queries"] > 0
-    assert result["image_error"] == 0
+    assert result["verdict"]["stopped"] in ("verified", "steps")
+    assert result["verdict"]["verified"] == (result["verdict"]["stopped"] == "verified")
+    assert result["cost"]["queries"] > 0
+    assert result["measured"]["image_error"] == 0
     digests = {file: hashlib.sha256(FILES[file].encode()).hexdigest() for file in files}
     assert result["provenance"]["extensions"] == digests
     assert extended.client.get(f"/jobs/{job['id']}").status_code == 200

@@ -217,7 +217,7 @@ def test_the_changes_of_several_groups_in_words_images_and_a_plot(stack: Stack, 
     job = stack.ended(stack.submit(GROUPS))
     assert job["state"] == "succeeded", job["failure"]
     page.goto(f"{stack.client.base_url}/jobs/{job['id']}")
-    for change in job["result"]["changes"]:
+    for change in job["result"]["change"]["things"]:
         said = page.locator(".changed-words li").filter(has_text=change["subject"])
         expect(said).to_have_text(f"{change['subject']} {change['sentence']}")
     images = page.locator(".changed-images img")
@@ -236,7 +236,7 @@ def test_the_changes_of_several_groups_in_words_images_and_a_plot(stack: Stack, 
     expect(page.get_by_role("table", name="The stored perturbation").locator("tbody tr")).to_have_count(8)
     page.locator("#changed-values > summary").click()
     rows = page.get_by_role("table", name="The numbers of the scene that were changed").locator("tbody tr")
-    expect(rows).to_have_count(sum(len(one["values"]) for one in job["result"]["changes"]))
+    expect(rows).to_have_count(sum(len(one["values"]) for one in job["result"]["change"]["things"]))
 
 
 def test_a_cancelled_job_shows_its_best_so_far_and_another_goes_on_from_there(stack: Stack, page: Page) -> None:

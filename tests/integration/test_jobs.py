@@ -35,8 +35,8 @@ def test_a_job_runs_to_its_end_and_says_everything(stack: Stack) -> None:
     assert job["state"] == "succeeded", job["failure"]
     assert list(job["times"]) == ["queued", "running", "succeeded"]
     assert job["result"]["spec"] == job["spec"]
-    assert job["outcome"]["fooled"] == job["result"]["fooled"]
-    assert job["outcome"]["perceptibility"] == job["result"]["perceptibility"]
+    assert job["outcome"]["fooled"] == job["result"]["verdict"]["fooled"]
+    assert job["outcome"]["perceptibility"] == job["result"]["change"]["perceptibility"]
 
     files = {file["name"]: file for file in stack.client.get(f"/v1/jobs/{job_id}/artifacts").json()["items"]}
     assert set(files) == FILES

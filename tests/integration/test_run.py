@@ -113,9 +113,9 @@ def test_an_attack_runs_on_furniture(method: str, tmp_path: Path) -> None:
     verified = [before["advantage"] < 0 for before in rows[:-1]]  # such an image is asked for once more
     if method != "apgd":  # whose restart begins with a row that follows no step
         assert asked == [per_step + again for again in verified]
-    assert result["stopped"] == "verified" or rows[-1]["restart"] == settings.get("restarts", 0)
+    assert result["verdict"]["stopped"] == "verified" or rows[-1]["restart"] == settings.get("restarts", 0)
     if settings.get("constraint") == "backtrack":
-        assert result["beyond_truncation"] == 0
+        assert result["change"]["beyond_truncation"] == 0
 
 
 def test_replay_reproduces_a_result_and_sees_a_damaged_one(tmp_path: Path) -> None:

@@ -126,7 +126,7 @@ def test_a_job_without_kernels_reads_no_memory_that_was_never_written(
     finally:
         torch.use_deterministic_algorithms(False)
     assert all(isfinite(row.advantage) and isfinite(row.distance) for row in result.trace)
-    assert isfinite(result.image_error)
+    assert isfinite(result.measured.image_error)
     assert result.trace[-1].distance > 0
 
 

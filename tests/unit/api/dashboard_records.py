@@ -1,5 +1,6 @@
 """A record with jobs in every state, and the dashboard on it."""
 
+import copy
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from html.parser import HTMLParser
@@ -71,7 +72,7 @@ def row(step: int, **changed: Any) -> dict[str, Any]:
 
 
 def result(spec: JobSpec = SPEC, **changed: Any) -> dict[str, Any]:
-    """A result that a job of this spec could have."""
+    """A result that a job of this spec could have, with these parts or fields of parts changed."""
 
     def answer(label: str, confidence: float) -> dict[str, Any]:
         top = [
@@ -96,24 +97,31 @@ def result(spec: JobSpec = SPEC, **changed: Any) -> dict[str, Any]:
             "fooled": fooled,
         }
 
-    values = {
+    values: dict[str, Any] = {
         "spec": spec.model_dump(mode="json"),
-        "outcome": "fooled",
-        "truth": ["grand piano"],
-        "right_before": True,
-        "fooled": True,
-        "verified": True,
-        "stopped": "verified",
-        "leave": "grand piano",
-        "labels_to_leave": ["grand piano"],
-        "reach": None,
+        "verdict": {
+            "outcome": "fooled",
+            "truth": ["grand piano"],
+            "right_before": True,
+            "fooled": True,
+            "verified": True,
+            "stopped": "verified",
+            "leave": "grand piano",
+            "labels_to_leave": ["grand piano"],
+            "reach": None,
+        },
         "original": answer("grand piano", 0.77),
         "attacked": answer("upright", 0.55),
         "in_loop": answer("upright", 0.58),
-        "float_perceptibility": 0.0117,
-        "perceptibility": 0.0123,
-        "group_perceptibility": {"normals": 0.02, "illumination": 0.01, "material": 0.03},
-        "beyond_truncation": 4,
+        "change": {
+            "step": 5,
+            "float_perceptibility": 0.0117,
+            "perceptibility": 0.0123,
+            "group_perceptibility": {"normals": 0.02, "illumination": 0.01, "material": 0.03},
+            "at_epsilon": {},
+            "beyond_truncation": 4,
+            "things": [CHANGE],
+        },
         "plan": Plan.of(
             "torch",
             ["normals", "illumination"],
@@ -134,8 +142,12 @@ def result(spec: JobSpec = SPEC, **changed: Any) -> dict[str, Any]:
             ],
             [GradientError(part="object 0", group="normals", relative=0.01, wrong_signs=0.025)],
         ),
-        "image_error": 1.5e-4,
-        "sampled_error": {"mean": 2.5e-5, "share": 0.0031},
+        "measured": {
+            "image_error": 1.5e-4,
+            "sampled_error": {"mean": 2.5e-5, "share": 0.0031},
+            "settings": {"delta": {"normals": 0.001}},
+        },
+        "cost": {"steps": 5, "queries": 1234, "surrogate_queries": 0, "renders": 12, "truncated": 3, "seconds": 1.25},
         "subsets": [
             subset([], False),
             subset(["normals"], False),
@@ -143,14 +155,6 @@ def result(spec: JobSpec = SPEC, **changed: Any) -> dict[str, Any]:
             subset(["normals", "illumination"], True),
         ],
         "attribution": ATTRIBUTION,
-        "changes": [CHANGE],
-        "settings": {"delta": {"normals": 0.001}},
-        "steps": 5,
-        "queries": 1234,
-        "renders": 12,
-        "truncated": 3,
-        "seconds": 1.25,
-        "step": 5,
         "trace": [row(step) for step in range(6)],
         "provenance": {
             "seed": 7,
@@ -162,8 +166,17 @@ def result(spec: JobSpec = SPEC, **changed: Any) -> dict[str, Any]:
             "extensions": {"mine.py": "1f" * 32},
             "credits": ["“Grand piano” by Dante, CC0 1.0"],
         },
-    } | changed
-    return Result.model_validate(values).model_dump(mode="json")
+    }
+    return Result.model_validate(with_fields(values, **changed)).model_dump(mode="json")
+
+
+def with_fields(result: dict[str, Any], **changed: Any) -> dict[str, Any]:
+    """A copy of a result in which these parts, or fields of its parts, are others."""
+    copied = copy.deepcopy(result)
+    for name, value in changed.items():
+        parts = [copied[part] for part in ("verdict", "change", "measured", "cost") if name in copied[part]]
+        (parts[0] if parts else copied)[name] = value
+    return copied
 
 
 def add(record: Record, spec: JobSpec = SPEC, warnings: Sequence[JobWarning] = ()) -> Job:

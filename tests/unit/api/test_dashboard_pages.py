@@ -203,7 +203,7 @@ async def test_whatever_a_job_says_is_text_and_never_markup(record: Record) -> N
     found = result(spec, leave=HOSTILE)
     found["attacked"]["label"] = found["attacked"]["top"][0][0] = found["subsets"][0]["label"] = HOSTILE
     found["provenance"]["credits"] = [HOSTILE]
-    found["settings"] = {HOSTILE: HOSTILE}
+    found["measured"]["settings"] = {HOSTILE: HOSTILE}
     succeed(record, job, found)
     failed = add(record, spec)
     record.leases.fail(start(record, failed), "internal", HOSTILE)

@@ -54,7 +54,7 @@ def test_a_job_is_submitted_watched_and_read(client: Client, script: Script) -> 
     ]  # fmt: skip
     found = client.submit_job({"scene": {}}, priority="high").wait()
     assert found.data.model_dump(mode="json") == SUCCEEDED
-    assert found.verified == SUCCEEDED["result"]["verified"]
+    assert found.verified == SUCCEEDED["result"]["verdict"]["verified"]
     assert [row.step for row in found.trace] == [row["step"] for row in SUCCEEDED["result"]["trace"]]
     assert (np.asarray(found.images.attacked) == PIXELS).all()
     assert found.images.attacked is found.images.attacked  # it is read once

@@ -34,7 +34,7 @@ def test_labels_of_none_are_numbers() -> None:
 def test_labels_of_imagenet_are_its_names_and_a_library_mesh_has_its_truth() -> None:
     scene = SCENE | {"objects": [{"mesh": "furniture/grand-piano"}]}
     result = attack(scene, network(1000), SPEC, labels="imagenet", **SMALL)
-    assert result.truth == ["grand piano"]
+    assert result.verdict.truth == ["grand piano"]
 
 
 @pytest.mark.parametrize("kind", [torch.Tensor, np.ndarray, list])

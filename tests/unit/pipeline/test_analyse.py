@@ -66,9 +66,9 @@ def test_p_before_rounding_is_that_of_the_stored_pixels(tmp_path: Path) -> None:
     change = load_file(tmp_path / "perturbation.safetensors")["image"].double()
     assert float(change.abs().max()) > 0
     # float32 holds a pixel of 0.5 + 0.002 to 3e-8, 1.5e-5 of the step
-    assert result.float_perceptibility == pytest.approx(float(change.square().sum(-1).mean().sqrt()), rel=5e-5)
+    assert result.change.float_perceptibility == pytest.approx(float(change.square().sum(-1).mean().sqrt()), rel=5e-5)
     # changes of 0.51/255 and 1.48/255 are saved as 1/255
-    assert abs(result.float_perceptibility / result.perceptibility - 1) > 0.05
+    assert abs(result.change.float_perceptibility / result.change.perceptibility - 1) > 0.05
 
 
 def test_shapley_values_of_a_job_sum_to_its_effect(tmp_path: Path) -> None:
@@ -121,7 +121,9 @@ def test_a_truth_that_is_stated_is_carried_by_name(tmp_path: Path) -> None:
     )
     assert result.analyses.transfer is not None
     [found] = result.analyses.transfer
-    assert (found.right_before, found.outcome) == (result.right_before, result.outcome) == (False, "still-wrong")
+    assert (
+        (found.right_before, found.outcome) == (result.verdict.right_before, result.outcome) == (False, "still-wrong")
+    )
 
 
 def test_a_truth_is_not_carried_by_name_to_a_vocabulary_of_other_meaning(tmp_path: Path) -> None:
@@ -131,7 +133,7 @@ def test_a_truth_is_not_carried_by_name_to_a_vocabulary_of_other_meaning(tmp_pat
     transfer = {"transfer": {"targets": ["efficientnet-lite0"]}}
     job = spec(attack, scene=scene, target={"name": "alexnet-furniture"}, analysis=transfer)
     result = execute(job, tmp_path, LIBRARY)
-    assert (result.truth, result.right_before) == (["cup"], True)
+    assert (result.verdict.truth, result.verdict.right_before) == (["cup"], True)
     assert result.analyses.transfer is not None
     [found] = result.analyses.transfer
     assert found.before.label == "espresso"  # which the table has as right for this mesh

@@ -9,13 +9,14 @@ import pytest
 from services.pipeline.campaign_plan import PlannedJob, case_of, curves_of
 from services.pipeline.result import Result
 from services.pipeline.spec import JobSpec
+from tests.unit.api.dashboard_records import with_fields
 
 STORED = json.loads((Path(__file__).parents[3] / "docs/results/combined.json").read_text())
 PLANNED = PlannedJob("t", "a", True, None, "", 0, JobSpec.model_validate(STORED["spec"]))
 
 
 def result(**changed: Any) -> Result:
-    return Result.model_validate(STORED | changed)
+    return Result.model_validate(with_fields(STORED, **changed))
 
 
 def test_a_case_has_the_papers_p_and_that_of_the_loop_at_the_stored_step() -> None:
@@ -23,8 +24,9 @@ def test_a_case_has_the_papers_p_and_that_of_the_loop_at_the_stored_step() -> No
     case = case_of(PLANNED, stored, run_seconds=3.0)
     assert stored.trace[1].perceptibility != stored.trace[-1].perceptibility
     assert case.loop_perceptibility == stored.trace[1].perceptibility
-    assert case.perceptibility == 0.00251 != stored.perceptibility
-    assert (case.truncated, case.queries, case.seconds, case.run_seconds) == (17, stored.queries, stored.seconds, 3.0)
+    assert case.perceptibility == 0.00251 != stored.change.perceptibility
+    assert (case.truncated, case.queries) == (17, stored.cost.queries)
+    assert (case.seconds, case.run_seconds) == (stored.cost.seconds, 3.0)
     assert curves_of(stored).advantage == [row.advantage for row in stored.trace]
     assert curves_of(stored).loss == [row.loss for row in stored.trace]
 

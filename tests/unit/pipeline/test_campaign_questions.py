@@ -177,7 +177,7 @@ def test_right_answers_are_attacked_and_a_stopped_run_goes_on(tmp_path: Path) ->
     assert len(own) == 2 * sum(right)
     for result in own:
         [question] = result.questions
-        assert [question.right] == result.truth == [commonest()]
+        assert [question.right] == result.verdict.truth == [commonest()]
         assert result.spec["record"] is not None
     assert {one.spec["attack"]["renderer"] for one in own} == {"image", COLOUR["renderer"]}  # type: ignore[index]
 

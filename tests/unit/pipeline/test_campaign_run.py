@@ -69,9 +69,9 @@ def test_its_table_says_what_its_results_say(finished: tuple[Path, CampaignResul
         result = by_renderer[name]
         won = result.outcome == "fooled" and result.verified
         assert (cell.ended, cell.success.of, cell.success.count) == (1, 1, int(won))
-        assert cell.truncated == result.truncated
-        assert cell.perceptibility == (result.float_perceptibility if won else None)
-        assert cell.by_queries == ([(result.queries, 1)] if won else [])
+        assert cell.truncated == result.cost.truncated
+        assert cell.perceptibility == (result.change.float_perceptibility if won else None)
+        assert cell.by_queries == ([(result.cost.queries, 1)] if won else [])
         [curve] = [one for one in found.curves if one.attack == cell.attack]
         assert curve.loss == [row.loss for row in result.trace]
     assert image.success.count == 1  # the tests below have an adversary
@@ -117,7 +117,7 @@ def test_a_run_that_was_stopped_goes_on_and_ends_in_the_same_results(
     for digest, other in results(finished[0]).items():
         name = f"jobs/{digest}/perturbation.safetensors"
         assert (tmp_path / name).read_bytes() == (finished[0] / name).read_bytes()
-        assert results(tmp_path)[digest].queries == other.queries
+        assert results(tmp_path)[digest].cost.queries == other.cost.queries
 
 
 def test_another_campaign_takes_the_results_unless_it_is_told_not_to(

@@ -82,7 +82,7 @@ def test_the_files_say_what_the_result_says(tmp_path: Path) -> None:
     )
     change = load_png(tmp_path / "attacked.png").double() - load_png(tmp_path / "original.png").double()
     p = float((change / 255).square().sum(-1).mean().sqrt())
-    assert result.perceptibility == pytest.approx(p, rel=1e-12)
+    assert result.change.perceptibility == pytest.approx(p, rel=1e-12)
     assert result.spec == parse(result.spec).model_dump(mode="json")  # the echoed spec is a spec, and complete
     provenance = result.provenance
     assert "torch" in provenance.backend
@@ -100,7 +100,7 @@ def test_the_ends_of_the_subset_table_are_the_images_rendered_afresh(tmp_path: P
     empty, full = result.subsets[0], result.subsets[-1]
     assert (empty.label, empty.goal_probability) == (result.original.label, result.original.goal_probability)
     assert (full.label, full.goal_probability) == (result.attacked.label, result.attacked.goal_probability)
-    assert (empty.perceptibility, full.perceptibility) == (0.0, result.perceptibility)
+    assert (empty.perceptibility, full.perceptibility) == (0.0, result.change.perceptibility)
 
 
 def test_the_error_of_images_that_opengl_drew_too_is_in_the_result(
@@ -111,24 +111,24 @@ def test_the_error_of_images_that_opengl_drew_too_is_in_the_result(
     attack = {"renderer": "pyrender", "delta": 1e-2, "steps": 2}
     result = execute(spec(attack), tmp_path / "rasterised", LIBRARY)
     exact = execute(spec(attack, tolerance="exact"), tmp_path / "exact", LIBRARY)
-    assert result.sampled_error is not None
-    assert 0 < result.sampled_error.mean <= 1e-3
-    assert 0 <= result.sampled_error.share <= 1e-2
-    assert exact.sampled_error is None
+    assert result.measured.sampled_error is not None
+    assert 0 < result.measured.sampled_error.mean <= 1e-3
+    assert 0 <= result.measured.sampled_error.share <= 1e-2
+    assert exact.measured.sampled_error is None
     again = Result.model_validate_json((tmp_path / "rasterised" / "result.json").read_text())
-    assert again.sampled_error == result.sampled_error
+    assert again.measured.sampled_error == result.measured.sampled_error
 
 
 def test_a_search_that_held_at_its_epsilon_says_so(tmp_path: Path) -> None:
     """APGD's first step moves each value to ε, within which the network holds: p is √3 · ε."""
     limits = {"epsilon": {"image": 0.01}, "constraint": "backtrack", "perceptibility": 0.05}
     result = execute(spec({"renderer": "image", "method": "apgd", "steps": 1} | limits), tmp_path, LIBRARY)
-    assert result.at_epsilon == {"image": AtEpsilon(coordinates=64 * 64 * 3, share=1.0)}
+    assert result.change.at_epsilon == {"image": AtEpsilon(coordinates=64 * 64 * 3, share=1.0)}
     line = outcome(result)
     assert (line["outcome"], line["epsilon_bound"], line["perceptibility_limit"]) == ("held", True, 0.05)
     assert held_within(line) == "within ε, p used 17.32 of 50.00 ×10⁻³"
     free = execute(spec({"renderer": "image", "method": "fgsm", "steps": 1}), tmp_path / "free", LIBRARY)
-    assert free.at_epsilon == {}
+    assert free.change.at_epsilon == {}
     assert not held_within(outcome(free))
 
 
@@ -188,13 +188,14 @@ def test_an_interrupted_job_ends_in_the_same_result(last: str, tmp_path: Path, m
 def _timeless(result: Result) -> list[tuple[str, Any]]:
     """Everything that a result says, in its order, but the times."""
     trace = [row.model_copy(update={"seconds": 0.0}) for row in result.trace]
-    return list(result.model_copy(update={"seconds": 0.0, "trace": trace}).model_dump().items())
+    cost = result.cost.model_copy(update={"seconds": 0.0})
+    return list(result.model_copy(update={"cost": cost, "trace": trace}).model_dump().items())
 
 
 def test_a_targeted_goal_is_followed(tmp_path: Path) -> None:
     result = execute(spec({"renderer": "image", "steps": 2}, goal={"reach": "soccer ball"}), tmp_path, LIBRARY)
-    assert result.leave is None
-    assert result.reach == "soccer ball"
+    assert result.verdict.leave is None
+    assert result.verdict.reach == "soccer ball"
     assert result.trace[-1].loss < result.trace[0].loss
     assert result.attacked.goal_probability > result.original.goal_probability
 
@@ -212,7 +213,7 @@ def test_the_image_error_is_that_of_the_attack_s_image_of_the_stored_perturbatio
     image, exact = (one.render({"normals": moved[None].double()}).double() for one in (renderer, renderer.exact()))
     wanted = float((image - exact).abs().max())
     assert 1e-5 < wanted < 2e-2
-    assert result.image_error == pytest.approx(wanted, rel=1e-3)
+    assert result.measured.image_error == pytest.approx(wanted, rel=1e-3)
 
 
 def test_the_verdict_is_of_the_images_rendered_afresh_whatever_the_loop_says(
@@ -240,21 +241,21 @@ def test_the_verdict_is_of_the_images_rendered_afresh_whatever_the_loop_says(
     found = claimed[-1]
     assert found.step == 3
     assert int(found.ever_truncated.sum()) > found.trace[-1].truncated
-    assert (result.outcome, result.verified, result.right_before) == ("held", False, True)
-    assert result.fooled  # what the loop believed stands beside the verdict
+    assert (result.outcome, result.verified, result.verdict.right_before) == ("held", False, True)
+    assert result.verdict.fooled  # what the loop believed stands beside the verdict
     assert result.in_loop.label != result.attacked.label == truth
-    assert (result.step, result.steps) == (1, 3)
-    assert result.truncated == int(found.ever_truncated.sum())
-    assert (result.perceptibility, result.float_perceptibility) == (0.0, 0.0)
+    assert (result.change.step, result.cost.steps) == (1, 3)
+    assert result.cost.truncated == int(found.ever_truncated.sum())
+    assert (result.change.perceptibility, result.change.float_perceptibility) == (0.0, 0.0)
     unknown = execute(spec(attack), tmp_path / "unknown", LIBRARY)
     assert (unknown.outcome, unknown.in_loop.label) == ("held", result.in_loop.label)
     wrong = execute(spec(attack, goal={"truth": result.in_loop.label}), tmp_path / "wrong", LIBRARY)
-    assert (wrong.outcome, wrong.right_before) == ("still-wrong", False)
+    assert (wrong.outcome, wrong.verdict.right_before) == ("still-wrong", False)
 
 
 def test_pixels_beyond_the_limit_are_counted_in_the_saved_images(tmp_path: Path) -> None:
     result = execute(spec({"renderer": "torch", "groups": ["normals"], "truncation": 2}), tmp_path, LIBRARY)
     original, attacked = (load_png(tmp_path / f"{name}.png").int() for name in ("original", "attacked"))
     counts = [int(((attacked - original).abs() > limit).any(-1).sum()) for limit in (1, 2, 3)]
-    assert result.beyond_truncation == counts[1]
+    assert result.change.beyond_truncation == counts[1]
     assert len(set(counts)) == 3  # so that another limit would be noticed

@@ -95,8 +95,8 @@ def shown(path: Path) -> torch.Tensor:
 def test_a_right_answer_is_attacked_to_the_verdict(run: Any, tmp_path: Path) -> None:
     result = run(attack=ATTACK | {"steps": 40})
     [found] = result.questions
-    assert result.truth == [right(LARGE)] == [found.right] == [found.before.label]
-    assert result.right_before
+    assert result.verdict.truth == [right(LARGE)] == [found.right] == [found.before.label]
+    assert result.verdict.right_before
     assert (result.outcome, found.outcome, result.verified) == ("fooled", "fooled", True)
     assert found.after.label == result.attacked.label != found.before.label
     assert (found.kind, found.before_of_kind) == ("integer", True)
@@ -128,7 +128,7 @@ def test_a_right_answer_is_attacked_to_the_verdict(run: Any, tmp_path: Path) -> 
 
 def test_leaving_the_kind_of_answers(run: Any) -> None:
     result = run(goal={"leave_kind": True}, attack=ATTACK | {"steps": 60})
-    assert set(result.labels_to_leave) == set(KINDS["integer"])
+    assert set(result.verdict.labels_to_leave) == set(KINDS["integer"])
     [found] = result.questions
     assert result.outcome == ("fooled" if found.after.label not in KINDS["integer"] else "held")
     assert found.after_of_kind == (result.outcome == "held")
@@ -154,7 +154,7 @@ def test_what_cannot_reach_the_answer_is_left_out_and_listed(run: Any, tmp_path:
     attack = {"renderer": "pyrender", "method": "zoo", "preset": "paper-vqa", "steps": 2, "coordinates": 60}
     attack |= {"groups": ["color", "rotation"], "leave_out": {"color": 1e-9, "rotation": 1e-9}}
     result = run(attack=attack)
-    measured = result.settings["leave_out"]
+    measured = result.measured.settings["leave_out"]
     # nothing is said of the turns that stay: they are not measured
     assert len(measured["effects"]) == 12 + 4
     assert {name.split()[-1] for name in measured["effects"] if "rotation" in name} == {"y"}

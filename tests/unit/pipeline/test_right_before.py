@@ -47,6 +47,6 @@ def test_the_label_of_a_view_that_a_report_counts_is_its_truth(mesh: str, label:
 
 def test_the_result_that_is_shown_first_is_a_success_that_was_right_before() -> None:
     result = Result.model_validate_json((ROOT / "docs/results/combined.json").read_text())
-    assert (result.outcome, result.verified, result.right_before) == ("fooled", True, True)
-    assert result.original.label in result.truth
-    assert result.attacked.label not in result.truth
+    assert (result.outcome, result.verified, result.verdict.right_before) == ("fooled", True, True)
+    assert result.original.label in result.verdict.truth
+    assert result.attacked.label not in result.verdict.truth

@@ -113,8 +113,8 @@ def test_a_network_of_kinds_is_guided_by_one_of_imagenet_by_the_reviewed_table()
 def test_the_result_counts_the_surrogate_apart_and_names_its_weights(tmp_path: Any) -> None:
     with registered(Other("volleyball", "soccer ball")):
         result = execute(parse(data("other")), tmp_path, LIBRARY)
-    assert result.stopped == "steps"
-    assert result.surrogate_queries == 2
+    assert result.verdict.stopped == "steps"
+    assert result.cost.surrogate_queries == 2
     assert result.trace[-1].surrogate_queries == 2
     # the step's own image, the surrogate's direction and two others on both sides, twice; and the last image
     assert result.trace[-1].queries - result.trace[0].queries == 2 * (1 + 2 * 3)

@@ -23,16 +23,21 @@ def unknown(tmp_path_factory: pytest.TempPathFactory) -> Result:
 
 
 def test_without_a_truth_the_answer_has_changed(unknown: Result) -> None:
-    assert (unknown.outcome, unknown.verified, unknown.right_before, unknown.truth) == ("changed", True, None, [])
+    assert (unknown.outcome, unknown.verified, unknown.verdict.right_before, unknown.verdict.truth) == (
+        "changed",
+        True,
+        None,
+        [],
+    )
     assert "truth-unknown" in [warning.code for warning in unknown.warnings]
-    assert unknown.leave == unknown.original.label in unknown.labels_to_leave
-    assert unknown.attacked.label not in unknown.labels_to_leave
+    assert unknown.verdict.leave == unknown.original.label in unknown.verdict.labels_to_leave
+    assert unknown.attacked.label not in unknown.verdict.labels_to_leave
     assert not success(unknown)
 
 
 def test_an_answer_that_was_right_was_fooled(unknown: Result, tmp_path: Path) -> None:
     found = run(tmp_path, truth=unknown.original.label)
-    assert (found.outcome, found.right_before, found.attacked) == ("fooled", True, unknown.attacked)
+    assert (found.outcome, found.verdict.right_before, found.attacked) == ("fooled", True, unknown.attacked)
     assert success(found)
 
 
@@ -41,7 +46,7 @@ def test_an_answer_that_was_wrong_became_right_or_is_still_wrong(unknown: Result
     for truth, outcome in ((unknown.attacked.label, "became-right"), ("grand piano", "still-wrong")):
         job = spec(ATTACK, goal={"truth": truth})
         found = execute(job, tmp_path / outcome, LIBRARY, checked=lambda _, found: said.extend(found))
-        assert (found.outcome, found.right_before, found.attacked) == (outcome, False, unknown.attacked)
+        assert (found.outcome, found.verdict.right_before, found.attacked) == (outcome, False, unknown.attacked)
         assert found.verified, "the goal, to leave the first answer, is met"
         assert not success(found)
         assert found.warnings[0].code == "already-wrong"
@@ -52,7 +57,7 @@ def test_an_answer_that_is_as_right_is_left_too(unknown: Result, tmp_path: Path)
     """The attack that found it before has to find another."""
     right = {unknown.original.label, unknown.attacked.label}
     found = run(tmp_path, truth=sorted(right))
-    assert right <= set(found.labels_to_leave)
+    assert right <= set(found.verdict.labels_to_leave)
     assert found.outcome in ("fooled", "held")
     assert (found.attacked.label in right) == (found.outcome == "held")
     assert found.attacked != unknown.attacked

@@ -34,7 +34,7 @@ def end_of(record: Record, store: ArtifactStore, job: Job) -> tuple[Any, dict[st
     found = row(record, job)
     assert found["state"] is State.SUCCEEDED, found["failure_detail"]
     result = found["result"]
-    for timed in (result, *result["trace"]):
+    for timed in (result["cost"], *result["trace"]):
         timed.pop("seconds")
     files = {one.name: one.sha256 for one in record.jobs.artifacts(job.id) if not one.name.endswith(".json")}
     for sha256 in files.values():

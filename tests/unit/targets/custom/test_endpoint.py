@@ -233,7 +233,7 @@ def test_a_job_attacks_it_without_gradients_only(server: Server, scan: Scan, tmp
         "attack": {"renderer": "pyrender", "groups": ["color"], "steps": 2},
     }
     result = execute(parse(job), tmp_path / "out", LIBRARY)
-    assert result.queries > 2
+    assert result.cost.queries > 2
     assert result.provenance.backend.endswith(f"endpoint {server.url}")
     assert result.provenance.weights_sha256 == result.provenance.card_sha256
     job["attack"] = {"renderer": "torch", "method": "fgsm"}

@@ -100,7 +100,11 @@ def test_they_give_the_same_adversary(tmp_path: Path) -> None:
     assert first.original.label != first.attacked.label
     stored = load_file(tmp_path / "out-exported" / "perturbation.safetensors")["image"]
     for name, result in found.items():
-        assert (result.verified, result.step, result.attacked.label) == (True, first.step, first.attacked.label), name
+        assert (result.verified, result.change.step, result.attacked.label) == (
+            True,
+            first.change.step,
+            first.attacked.label,
+        ), name
         same = load_file(tmp_path / f"out-{name}" / "perturbation.safetensors")["image"]
         # the sign of a gradient of nearly zero is decided by rounding
         assert float((same != stored).float().mean()) < 0.01, name
@@ -116,7 +120,7 @@ def test_a_module_that_is_passed_gives_it_too(tmp_path: Path) -> None:
     result = attack(SCENE, module, {"attack": FGSM}, **about)
     wanted = job("module", tmp_path)
     assert result.attacked.label == wanted.attacked.label
-    assert result.step == wanted.step
+    assert result.change.step == wanted.change.step
     assert module.training  # it was copied
     assert "mine" not in TARGETS
 
