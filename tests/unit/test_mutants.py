@@ -19,7 +19,7 @@ import pytest
 from tests.unit.accuracy import test_attack_bounds
 from tests.unit.analysis import test_adaptive
 from tests.unit.attacks import test_p_rgf, test_samples, test_zoo
-from tests.unit.rendering.torch_renderer import test_gradient_error, test_shadows
+from tests.unit.rendering.torch_renderer import test_gradient_error, test_sampled_check, test_shadows
 
 
 class Mutant(NamedTuple):
@@ -58,6 +58,12 @@ MUTANTS = {
         "radians(asked.roll) * around[2]",
         "radians(asked.roll) * around[1]",
         test_samples.test_the_numbers_of_a_variation_are_independent,
+    ),
+    "tables that are never checked": Mutant(
+        "services.rendering.torch_renderer.shader:Shader.__call__",
+        "if held:",
+        "if True:",
+        lambda: test_sampled_check.check(test_sampled_check.WALKS[0]),
     ),
     "half-steps measured at zero": Mutant(
         "services.attacks.differences:measure_half_steps",

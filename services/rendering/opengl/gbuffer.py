@@ -221,13 +221,7 @@ def rasterise(scene: ResolvedScene, drawing: "Drawing | None" = None) -> GBuffer
     view = CameraMatrices.of(scene.view, scene.projection)
     drawing = Drawing([placed.mesh for placed in scene.placed]) if drawing is None else drawing
     colors = np.array([placed.described.color for placed in scene.placed], np.float64)
-    images = {
-        "normals": torch.zeros(height, width, 3),
-        "coverage": torch.zeros(height, width),
-        "base_color": torch.zeros(height, width, 3),
-        "depth": torch.zeros(height, width),
-        "object_index": torch.full((height, width), -1, dtype=torch.int64),
-    }
+    images = _nothing(height, width)
     apart: list[Fragments] = []
     numbers = torch.arange(height * width).reshape(height, width)
     covered = rectangle(drawing.points, list(view.clip_from_world @ poses), (height, width))
@@ -307,16 +301,21 @@ def average_samples(geometry: Tensor, surface: Tensor, count: int, forward: NDAr
     return images
 
 
+def _nothing(height: int, width: int) -> dict[str, Tensor]:
+    """Pixels [height, width] that show nothing."""
+    return {
+        "normals": torch.zeros(height, width, 3),
+        "coverage": torch.zeros(height, width),
+        "base_color": torch.zeros(height, width, 3),
+        "depth": torch.zeros(height, width),
+        "object_index": torch.full((height, width), -1, dtype=torch.int64),
+    }
+
+
 def _averaged(geometry: Tensor, surface: Tensor, count: int) -> dict[str, Tensor]:
     """Pixels [h, w], but for their normals, which are sums over their samples."""
     height, width = geometry.shape[0] // FACTOR, geometry.shape[1] // FACTOR
-    images = {
-        "normals": torch.empty(height, width, 3),
-        "coverage": torch.empty(height, width),
-        "base_color": torch.empty(height, width, 3),
-        "depth": torch.empty(height, width),
-        "object_index": torch.empty(height, width, dtype=torch.int64),
-    }
+    images = _nothing(height, width)
     of = (height, width, FACTOR, count, geometry, surface, *images.values())
     compiled.call("average", geometry.dtype, *of, compiled.threads())
     return images

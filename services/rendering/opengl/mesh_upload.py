@@ -3,10 +3,10 @@ through `context.current()`.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -269,7 +269,7 @@ class Drawing:
 
     def __init__(self, meshes: Sequence[Mesh], watertight: bool = False) -> None:
         textures: Textures = {}
-        uploads: dict[int, list[_UploadedPart]] = {}
+        uploads: dict[int, list[Piece]] = {}
         corners: dict[int, Array] = {}
         self.pieces: list[Piece] = []
         self.points: list[Array] = []
@@ -278,28 +278,14 @@ class Drawing:
             if id(mesh) not in uploads:
                 wound = outsides(mesh) if watertight else [(part.faces, 0) for part in mesh.parts]
                 uploads[id(mesh)] = [
-                    _upload(part, np.ascontiguousarray(faces, np.int32), count, textures)
+                    _upload(index, part, np.ascontiguousarray(faces, np.int32), count, textures)
                     for part, (faces, count) in zip(mesh.parts, wound, strict=True)
                 ]
                 corners[id(mesh)] = _corners(mesh)
-            for part, held in zip(mesh.parts, uploads[id(mesh)], strict=True):
-                centre = (part.vertices.min(axis=0) + part.vertices.max(axis=0)).astype(np.float64) / 2
-                self.pieces.append(
-                    Piece(
-                        index,
-                        part,
-                        held.triangles,
-                        held.primitive,
-                        held.texture,
-                        has_holes(part),
-                        held.n_watertight_faces,
-                        centre,
-                        held.material,
-                    )
-                )
+            self.pieces += [replace(piece, index=index) for piece in uploads[id(mesh)]]
             self.points.append(corners[id(mesh)])
         # What pyrender's Renderer._update_context asks of a scene.
-        self.meshes = {Upload(tuple(held.primitive for held in upload)) for upload in uploads.values()}
+        self.meshes = {Upload(tuple(piece.primitive for piece in pieces)) for pieces in uploads.values()}
         self.lights: tuple[()] = ()
 
 
@@ -317,28 +303,21 @@ def _corners(mesh: Mesh) -> Array:
     return np.ascontiguousarray(np.append(vertices, np.ones((len(vertices), 1)), axis=1).T)
 
 
-class _UploadedPart(NamedTuple):
-    triangles: Integers
-    primitive: Any
-    texture: LinearTexture | None
-    n_watertight_faces: int
-    material: UploadedMaterial | None
-
-
-def _upload(part: Part, faces: Integers, n_watertight_faces: int, textures: Textures) -> _UploadedPart:
+def _upload(index: int, part: Part, faces: Integers, n_watertight_faces: int, textures: Textures) -> Piece:
+    texture, material = None, None
     if part.metallic_roughness is not None:
         primitive, material = upload_material(part, part.metallic_roughness, faces, textures)
-        return _UploadedPart(faces, primitive, None, n_watertight_faces, material)
-    texture = None
-    if part.texture is not None and part.uv is not None:
-        key = id(part.texture), True, LinearTexture.wrap
-        texture = textures.setdefault(key, SrgbTexture(source=part.texture, source_channels="RGBA"))
-    primitive = Primitive(
-        positions=part.vertices,
-        normals=part.normals,
-        # One vertex layout for all.
-        texcoord_0=np.zeros((len(part.vertices), 2), np.float32) if part.uv is None else part.uv,
-        indices=faces,
-        material=MetallicRoughnessMaterial(baseColorTexture=texture),
-    )
-    return _UploadedPart(faces, primitive, texture, n_watertight_faces, None)
+    else:
+        if part.texture is not None and part.uv is not None:
+            key = id(part.texture), True, LinearTexture.wrap
+            texture = textures.setdefault(key, SrgbTexture(source=part.texture, source_channels="RGBA"))
+        primitive = Primitive(
+            positions=part.vertices,
+            normals=part.normals,
+            # One vertex layout for all.
+            texcoord_0=np.zeros((len(part.vertices), 2), np.float32) if part.uv is None else part.uv,
+            indices=faces,
+            material=MetallicRoughnessMaterial(baseColorTexture=texture),
+        )
+    centre = (part.vertices.min(axis=0) + part.vertices.max(axis=0)).astype(np.float64) / 2
+    return Piece(index, part, faces, primitive, texture, has_holes(part), n_watertight_faces, centre, material)

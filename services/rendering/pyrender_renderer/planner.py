@@ -132,11 +132,9 @@ def sides_of(start: Parameters, group: str) -> Parameters:
     # Three coordinates are an object's: one of each object, along axes in turn, then a second, then the third.
     triples = range(-(-count // 3))
     places = [3 * number + (number + turn) % 3 for turn in range(3) for number in triples]
-    chosen = torch.tensor([place for place in places if place < count][:MAX_COORDINATES])
-    steps = HALF_STEP * torch.nn.functional.one_hot(chosen, count).to(start[group].dtype)
-    moves = torch.stack([steps, -steps], dim=1).reshape(-1, *start[group].shape)
-    sides = {name: value.expand(len(moves), *value.shape) for name, value in start.items()}
-    return sides | {group: start[group] + moves}
+    chosen = [place for place in places if place < count][:MAX_COORDINATES]
+    rows = [row for place in chosen for row in (2 * place, 2 * place + 1)]
+    return {name: value[rows] for name, value in both_sides(start, [group], HALF_STEP).items()}
 
 
 def is_sampled(parameters: Mapping[str, Tensor], row: int) -> bool:

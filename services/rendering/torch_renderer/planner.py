@@ -141,13 +141,7 @@ def float32_error(surface: Surface, sky: Sky, illumination: Tensor, recipe: Reci
         random = torch.Generator().manual_seed(1)
         anywhere = torch.rand(sample.angles.shape, generator=random, dtype=torch.float64)
         anywhere = (anywhere * torch.tensor([2 * pi, pi]) - torch.tensor([pi, 0.0])).to(sample.angles.device)
-        sample = replace(
-            sample,
-            angles=torch.cat([sample.angles, anywhere]),
-            base_color=sample.base_color.repeat(2, 1),
-            viewers=None if sample.viewers is None else sample.viewers.repeat(2, 1),
-            visibility=None if sample.visibility is None else sample.visibility.repeat(1, 2),
-        )
+        sample = _turned(sample, torch.cat([sample.angles, anywhere]))
     values = [
         Shader(replace(recipe, method="summed", rows=None, moving=True, dtype=dtype), sky, sample, illumination)(
             sample.angles, illumination, sample.material
@@ -205,15 +199,28 @@ class MeasuredErrors:
 
 def spread(surface: Surface, moving: bool, random: torch.Generator) -> Surface:
     """Returns the surface with its own normals and, if `moving`, randomly perturbed copies of them."""
-    angles, again = surface.angles, 1
-    if moving:
-        again += max(2, min(MAX_COPIES, N_NORMALS // len(angles)))
-        steps = [
-            torch.rand(angles.shape, generator=random, dtype=torch.float64).to(angles.device) for _ in range(again - 1)
-        ]
-        angles = torch.cat([angles, *(angles + MAX_PERTURBATION["normals"] * (2 * step - 1) for step in steps)])
-    seen = None if surface.visibility is None else surface.visibility.repeat(1, again)
-    return replace(surface, angles=angles, base_color=surface.base_color.repeat(again, 1), visibility=seen)
+    if not moving:
+        return surface
+    copies = max(2, min(MAX_COPIES, N_NORMALS // len(surface.angles)))
+    return _turned(surface, torch.cat([surface.angles, *(_perturbed(surface.angles, random) for _ in range(copies))]))
+
+
+def _perturbed(angles: Tensor, random: torch.Generator) -> Tensor:
+    """Returns angles [P, 2], each moved at random by at most what attacks move it."""
+    step = 2 * torch.rand(angles.shape, generator=random, dtype=torch.float64).to(angles.device) - 1
+    return angles + MAX_PERTURBATION["normals"] * step
+
+
+def _turned(surface: Surface, angles: Tensor) -> Surface:
+    """Returns the surface with other normals, `angles` [n · P, 2] for n copies of its pixels."""
+    n = len(angles) // len(surface.angles)
+    return replace(
+        surface,
+        angles=angles,
+        base_color=surface.base_color.repeat(n, 1),
+        viewers=None if surface.viewers is None else surface.viewers.repeat(n, 1),
+        visibility=None if surface.visibility is None else surface.visibility.repeat(1, n),
+    )
 
 
 def _signs(like: Tensor, random: torch.Generator) -> Tensor:
@@ -424,13 +431,8 @@ def alike_from_all_sides(
         return None
     sample = replace(subset(surface, PIXELS), visibility=None)
     if "normals" in groups:
-        random = torch.Generator().manual_seed(3)
-        step = 2 * torch.rand(sample.angles.shape, generator=random, dtype=torch.float64) - 1
-        sample = replace(sample, angles=sample.angles + MAX_PERTURBATION["normals"] * step.to(sample.angles.device))
-    lobes = surface.material.shape[1]
-    every = torch.ones(dsbrdf.CHANNELS, lobes, dtype=torch.bool, device=sky.power.device)
-    texels = torch.arange(sky.power.shape[1], device=sky.power.device)
-    exact = Recipe(texels, False, every, ~every, "summed", moving=True, dtype=torch.float64)
+        sample = _turned(sample, _perturbed(sample.angles, torch.Generator().manual_seed(3)))
+    exact = exact_recipe(sky, surface.material.shape[1])
     values = [
         Shader(recipe, sky, sample, illumination)(sample.angles, illumination, sample.material)
         for recipe in (replace(exact, lambert=True), exact)
@@ -514,9 +516,10 @@ def compile_plan(
             own = tolerance * surface.share
             moving = [group for group in groups if not (group == "material" and surface.fixed_material)]
             alike = alike_from_all_sides(surface, sky, illumination, moving, LAMBERT_SHARE * own)
-            needs = _needs(surface, sky, illumination, moving, own, alike)
-            items += needs.items
-            recipe, chosen = _cheapest(surface, sky, illumination, moving, own, needs)
+            needed, left_out = _needed(surface, sky, illumination, moving, own, alike)
+            items += left_out
+            left = own - sum(item.error for item in left_out)
+            recipe, chosen = _cheapest(surface, sky, illumination, moving, left, needed)
             stages += chosen
             exact = exact_recipe(sky, surface.material.shape[1])
             gradients += gradient_errors(surface, sky, illumination, moving, recipe, exact)
@@ -524,21 +527,10 @@ def compile_plan(
     return recipes, Plan.of("torch", groups, size, tolerance, items, stages, gradients)
 
 
-@dataclass(frozen=True)
-class _Needs:
-    """The work that every method has to do: a recipe to start from, and the plan's items on what it leaves out."""
-
-    recipe: Recipe
-    items: list[Item]
-
-    @property
-    def error(self) -> float:
-        return sum(item.error for item in self.items)
-
-
-def _needs(
+def _needed(
     surface: Surface, sky: Sky, illumination: Tensor, groups: Sequence[str], tolerance: float, alike: float | None
-) -> _Needs:
+) -> tuple[Recipe, list[Item]]:
+    """Returns the work that every method has to do, as a recipe to start from, and the items on what it leaves out."""
     kept, why = _directions(surface, sky, illumination, groups)
     items = [_item(surface, "directions", len(kept), sky.power.shape[1], why)]
     every = torch.ones(surface.material.shape[:2], dtype=torch.bool, device=sky.power.device)
@@ -547,7 +539,7 @@ def _needs(
         why = "the material reflects the same share of light in every direction"
         items.append(_item(surface, "lobes", 0, every.numel(), why, alike))
         recipe = Recipe(kept, True, ~every, ~every, "summed", moving="normals" in groups, lambert=True)
-        return _Needs(recipe, items)
+        return recipe, items
     if "material" not in groups and surface.viewers is None:
         bounds = lobe_bounds(surface, sky, illumination, groups, kept)
         small = LOBES_SHARE * tolerance / every.shape[1]
@@ -561,8 +553,7 @@ def _needs(
         items.append(_item(surface, "lobes", int(varying.sum()), varying.numel(), why, error))
         if gray:
             items.append(_item(surface, "channels", 1, dsbrdf.CHANNELS, "all three have the same lobes"))
-    recipe = Recipe(kept, gray, varying, straight, "summed", moving="normals" in groups)
-    return _Needs(recipe, items)
+    return Recipe(kept, gray, varying, straight, "summed", moving="normals" in groups), items
 
 
 def _directions(surface: Surface, sky: Sky, illumination: Tensor, groups: Sequence[str]) -> tuple[Tensor, str]:
@@ -584,30 +575,27 @@ def _directions(surface: Surface, sky: Sky, illumination: Tensor, groups: Sequen
 
 
 def _cheapest(
-    surface: Surface, sky: Sky, illumination: Tensor, groups: Sequence[str], tolerance: float, needs: _Needs
+    surface: Surface, sky: Sky, illumination: Tensor, groups: Sequence[str], left: float, needed: Recipe
 ) -> tuple[Recipe, list[Stage]]:
-    """Returns the cheapest recipe whose estimated error fits in the tolerance that the items leave, and its stages."""
-    left, pixels = tolerance - needs.error, len(surface.angles)
-    if needs.recipe.lambert:
-        recipe = replace(needs.recipe, method=_method(needs.recipe, groups, pixels, looked_up=False))
+    """Returns the cheapest recipe whose estimated error is within `left`, what the items leave of the tolerance, and
+    its stages."""
+    pixels = len(surface.angles)
+    if needed.lambert:
+        recipe = replace(needed, method=_method(needed, groups, pixels, looked_up=False))
         why = "without lobes the sum costs a cosine for each direction"
         if recipe.method == "precomputed_transport":
             why = f"only the light changes: the factors take {_transport_bytes(recipe, pixels) / 1e6:.0f} MB"
         return recipe, [radiance_stage(surface, recipe, pixels, why, FLOAT32_ERROR)]
-    direct = replace(
-        needs.recipe, method=_method(needs.recipe, groups, pixels, looked_up=False, near=surface.viewers is not None)
-    )
+    direct = replace(needed, method=_method(needed, groups, pixels, looked_up=False, near=surface.viewers is not None))
     rounding = FLOAT32_ERROR + float32_error(surface, sky, illumination, direct)
     if rounding > left:
         wide = replace(direct, dtype=torch.float64)
         return wide, [radiance_stage(surface, wide, pixels, f"float32 would be off by {rounding:.0e}", 0.0)]
-    if surface.visibility is not None:
-        why = "objects hide part of the light: radiance depends on the pixel, not on its normal alone"
+    if surface.visibility is not None or surface.viewers is not None:
+        why = "the viewer is near" if surface.visibility is None else "objects hide part of the light"
+        why += ": radiance depends on the pixel, not on its normal alone"
         return direct, [radiance_stage(surface, direct, pixels, why, rounding)]
-    if surface.viewers is not None:
-        why = "the viewer is near: radiance depends on the pixel, not on its normal alone"
-        return direct, [radiance_stage(surface, direct, pixels, why, rounding)]
-    measured = MeasuredErrors(surface, sky, illumination, groups, needs.recipe)
+    measured = MeasuredErrors(surface, sky, illumination, groups, needed)
     why = "a table would cost more"
     limit = (left - rounding) / HEADROOM
     failed: list[tuple[int, int, float]] = []

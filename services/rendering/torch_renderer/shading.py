@@ -96,30 +96,20 @@ def transport(normals: Tensor, lobes: Lobes, directions: Directions, visibility:
     light. For `visibility` see `radiance`."""
     out = normals.new_empty(len(lobes.base), directions.towards.shape[1], len(normals))
     if compiled.runs(normals):
-        packed = _packed(
-            normals,
-            None,
-            lobes.log_kappa,
-            lobes.gamma,
-            lobes.base,
-            lobes.tilt,
-            directions.towards,
-            directions.half,
-            visibility,
-        )
+        of_lobes = lobes.log_kappa, lobes.gamma, lobes.base, lobes.tilt
+        packed = _packed(normals, None, *of_lobes, directions.towards, directions.half, visibility)
         compiled.call("transport", normals.dtype, packed, out, compiled.threads())
         return out
-    step = _at_once(out.shape[1])
-    for start in range(0, len(normals), step):
-        n = normals[start : start + step]
+    for some in _chunks(normals, out.shape[1], CHUNK):
+        n = normals[some]
         cosine, log_half = (n @ directions.towards).clamp_min_(0.0), _log_half(n, directions.half)
         if visibility is not None:
-            cosine *= _seen(visibility, start, cosine)
+            cosine *= _seen(visibility, some, cosine.dtype)
         for c in range(len(out)):
             rho = torch.addcmul(lobes.base[c], lobes.tilt[c], log_half)
             for log_kappa, gamma in zip(lobes.log_kappa[c], lobes.gamma[c], strict=True):
                 rho += torch.addcmul(log_kappa, gamma, log_half).clamp_(*LOG_EXPONENT_RANGE).exp_().expm1_()
-            out[c, :, start : start + step] = rho.mul_(cosine).T
+            out[c, :, some] = rho.mul_(cosine).T
     return out
 
 
@@ -133,14 +123,14 @@ class _Distant(torch.autograd.Function):
             packed = _packed(*inputs)
             compiled.call("shade", normals.dtype, packed, result, compiled.threads())
             return result
-        step = _at_once(light.shape[1])
-        buffers = normals.new_empty(3, min(step, len(normals)), light.shape[1])
-        for start in range(0, len(normals), step):
-            n, out = normals[start : start + step], result[start : start + step]
+        chunks = _chunks(normals, light.shape[1], CHUNK)
+        buffers = normals.new_empty(3, chunks[0].stop, light.shape[1])
+        for some in chunks:
+            n, out = normals[some], result[some]
             cosine, lobe, rho = buffers[:, : len(n)]
             torch.mm(n, towards, out=cosine).clamp_min_(0.0)
             if visibility is not None:
-                cosine *= _seen(visibility, start, cosine)
+                cosine *= _seen(visibility, some, cosine.dtype)
             log_half = _log_half(n, half)
             for c in range(3):
                 if c < len(base):
@@ -187,13 +177,13 @@ def _gradients(
     normals, light, log_kappa, gamma, base, tilt, towards, half, visibility = inputs
     d_normals, d_light, d_kappa, d_gamma = into
     channels = len(base)
-    step = _at_once(light.shape[1])
-    buffers = normals.new_empty(7, min(step, len(normals)), light.shape[1])
-    for start in range(0, len(normals), step):
-        n, g = normals[start : start + step], gradient[start : start + step]
+    chunks = _chunks(normals, light.shape[1], CHUNK)
+    buffers = normals.new_empty(7, chunks[0].stop, light.shape[1])
+    for some in chunks:
+        n, g = normals[some], gradient[some]
         cosine, x, lobe, rho, lit, weight, d_log_half = buffers[:, : len(n)]
         torch.mm(n, towards, out=cosine).clamp_min_(0.0)
-        share = None if visibility is None else _seen(visibility, start, cosine)
+        share = None if visibility is None else _seen(visibility, some, cosine.dtype)
         log_half = _log_half(n, half)
         d_cosine = torch.zeros_like(cosine)
         d_log_half.zero_()
@@ -223,7 +213,7 @@ def _gradients(
             cosine_half = log_half.exp()
             d_cosine.masked_fill_(cosine <= 0, 0.0)
             d_log_half.div_(cosine_half).masked_fill_(cosine_half <= COSINE_FLOOR * (1 + 1e-6), 0.0)
-            d_normals[start : start + step] = d_cosine @ towards.T + d_log_half @ half[:3].T
+            d_normals[some] = d_cosine @ towards.T + d_log_half @ half[:3].T
 
 
 def _log_half(normals: Tensor, half: Tensor) -> Tensor:
@@ -235,9 +225,9 @@ def _log_half(normals: Tensor, half: Tensor) -> Tensor:
     return wide.clamp_(COSINE_FLOOR, 1.0).log_().to(normals.dtype)
 
 
-def _seen(visibility: Tensor, start: int, like: Tensor) -> Tensor:
-    """Returns the visibility [N, D] of a chunk of normals that begins at `start`, in the shape and dtype of `like`."""
-    return visibility[:, start : start + len(like)].T.to(like.dtype) / 255
+def _seen(visibility: Tensor, some: slice, dtype: torch.dtype) -> Tensor:
+    """Returns the visibility [N, D], in [0,1], of some normals."""
+    return visibility[:, some].T.to(dtype) / 255
 
 
 def _packed(
@@ -251,24 +241,32 @@ def _packed(
     half: Tensor,
     visibility: Tensor | None = None,
 ) -> ctypes.Structure:
-    tensors = {"normals": normals, "towards": towards, "half": half, "light": light, "base": base, "tilt": tilt}
-    tensors |= {"log_kappa": log_kappa, "gamma": gamma, "visibility": visibility}
-    lowest, highest = LOG_EXPONENT_RANGE
+    tensors = {"half": half, "light": light, "base": base, "tilt": tilt, "log_kappa": log_kappa, "gamma": gamma}
+    sizes = {"channels": len(base), "lobes": log_kappa.shape[1]}
+    return _structure("shading.Scene", normals, towards, visibility, **tensors, **sizes, **LIMITS)
+
+
+LIMITS = {"cosine_floor": COSINE_FLOOR, "lowest": LOG_EXPONENT_RANGE[0], "highest": LOG_EXPONENT_RANGE[1]}
+"""Limits of the lobes' arguments, as the kernels take them."""
+
+
+def _structure(
+    name: str, normals: Tensor, towards: Tensor, visibility: Tensor | None, **others: Tensor | float | None
+) -> ctypes.Structure:
+    """Returns the arguments of a sum as its kernel takes them: those that every sum has, and `others`."""
+    values = {"normals": normals, "towards": towards, "visibility": visibility} | others
     return compiled.structure(
-        f"shading.Scene.{compiled.NAMES[normals.dtype]}",
+        f"{name}.{compiled.NAMES[normals.dtype]}",
         count=len(normals),
         directions=towards.shape[1],
-        channels=len(base),
-        lobes=log_kappa.shape[1],
-        cosine_floor=COSINE_FLOOR,
-        lowest=lowest,
-        highest=highest,
-        **{name: value if value is None else value.contiguous() for name, value in tensors.items()},
+        **{name: value.contiguous() if isinstance(value, Tensor) else value for name, value in values.items()},
     )
 
 
-def _at_once(directions: int) -> int:
-    return max(16, CHUNK // directions)
+def _chunks(normals: Tensor, directions: int, pairs: int) -> list[slice]:
+    """Returns parts of the normals, in order, each of at most `pairs` / `directions` of them, or 16."""
+    step = max(16, pairs // max(1, directions))
+    return [slice(start, start + step) for start in range(0, max(1, len(normals)), step)]
 
 
 PERSPECTIVE_CHUNK = 2**16
@@ -306,10 +304,9 @@ class _Perspective(torch.autograd.Function):
             result = torch.empty_like(normals)
             compiled.call("shade_perspective", normals.dtype, _packed_perspective(*held), result, compiled.threads())
             return result
-        step = max(16, PERSPECTIVE_CHUNK // max(1, towards.shape[1]))
-        parts = [slice(start, start + step) for start in range(0, len(normals), step)]
+        chunks = _chunks(normals, towards.shape[1], PERSPECTIVE_CHUNK)
         return torch.cat(
-            [_chunk(normals[p], viewers[p], light, material, towards, _shares(visibility, p)) for p in parts]
+            [_summed(normals[some], light, material, viewers, towards, visibility, some) for some in chunks]
         )
 
     @staticmethod
@@ -322,36 +319,35 @@ class _Perspective(torch.autograd.Function):
             packed = _packed_perspective(normals, viewers, light, material, towards, visibility)
             compiled.call("shade_perspective_backward", normals.dtype, packed, gradient, *gradients, compiled.threads())
         else:
-            step = max(16, PERSPECTIVE_CHUNK // max(1, towards.shape[1]))
-            for start in range(0, len(normals), step):
-                some = slice(start, start + step)
-                leaves = [value.detach().requires_grad_() for value in (light, material, normals[some])]
+            for some in _chunks(normals, towards.shape[1], PERSPECTIVE_CHUNK):
+                leaves = [value.detach().requires_grad_() for value in (normals[some], light, material)]
                 with torch.enable_grad():
-                    seen = _shares(visibility, some)
-                    shaded = _chunk(leaves[2], viewers[some], leaves[0], leaves[1], towards, seen)
-                d_light, d_material, d_normals = torch.autograd.grad(shaded, leaves, gradient[some])
+                    shaded = _summed(leaves[0], leaves[1], leaves[2], viewers, towards, visibility, some)
+                d_normals, d_light, d_material = torch.autograd.grad(shaded, leaves, gradient[some])
                 gradients[0] += d_light
                 gradients[1] += d_material
                 gradients[2][some] = d_normals
         return gradients[2], None, gradients[0], gradients[1], None, None
 
 
-def _shares(visibility: Tensor | None, some: slice) -> Tensor | None:
-    """Returns the visible shares [D, P] of some pixels."""
-    return None if visibility is None else visibility[:, some].double() / 255
-
-
-def _chunk(
-    normals: Tensor, viewers: Tensor, light: Tensor, material: Tensor, towards: Tensor, seen: Tensor | None
+def _summed(
+    normals: Tensor,
+    light: Tensor,
+    material: Tensor,
+    viewers: Tensor,
+    towards: Tensor,
+    visibility: Tensor | None,
+    some: slice,
 ) -> Tensor:
-    """Computes the sum at a chunk of pixels, [P, 3], for all pairs of pixel and direction at once; `seen` [D, P].
+    """Computes the sum at some pixels, [P, 3], for all their pairs of pixel and direction at once. `normals` are those
+    of these pixels; `viewers` and `visibility` are those of all.
 
     Angles are computed in float64, as a lobe of γ = 1e5 varies where 1 − n·h is 1e-5. Vectors are normalised in float64
     too: else the angle between two nearly parallel vectors would be off by 3e-4.
     """
     n, v, w = (
         normalize(normals.double(), dim=-1),
-        normalize(viewers.double(), dim=-1),
+        normalize(viewers[some].double(), dim=-1),
         normalize(towards.double(), dim=0),
     )
     between = v @ w  # cosine of 2 θ_d
@@ -366,38 +362,20 @@ def _chunk(
     log_kappa, gamma = (curve.reshape(*curve.shape[:-1], *cosine.shape) for curve in dsbrdf.lobes(material, curves))
     log_half = half.clamp(dsbrdf.COSINE_FLOOR, 1.0).log().to(dtype)
     rho = dsbrdf.reflectance(log_half, log_kappa, gamma).sum(1) * cosine.clamp_min(0.0).to(dtype)
-    if seen is not None:
-        rho = rho * seen.T.to(dtype)
+    if visibility is not None:
+        rho = rho * _seen(visibility, some, dtype)
     return torch.einsum("cpd,cd->pc", rho.expand(3, -1, -1), light)
 
 
 def _packed_perspective(
     normals: Tensor, viewers: Tensor, light: Tensor, material: Tensor, towards: Tensor, visibility: Tensor | None
 ) -> ctypes.Structure:
-    lowest, highest = dsbrdf.LOG_EXPONENT_RANGE
-    channels, lobes = material.shape[:2]
-    return compiled.structure(
-        f"perspective.Scene.{compiled.NAMES[normals.dtype]}",
-        count=len(normals),
-        directions=towards.shape[1],
-        channels=channels,
-        lobes=lobes,
-        normals=normals,
-        viewers=viewers,
-        towards=towards,
-        light=light,
-        material=material,
-        visibility=visibility,
-        cosine_floor=dsbrdf.COSINE_FLOOR,
-        lowest=lowest,
-        highest=highest,
-        max_log_kappa=dsbrdf.LOG_KAPPA_RANGE[1],
-        max_log_gamma=dsbrdf.LOG_GAMMA_RANGE[1],
-    )
+    tensors = {"viewers": viewers, "light": light, "material": material}
+    sizes = {"channels": len(material), "lobes": material.shape[1]}
+    most = {"max_log_kappa": dsbrdf.LOG_KAPPA_RANGE[1], "max_log_gamma": dsbrdf.LOG_GAMMA_RANGE[1]}
+    return _structure("perspective.Scene", normals, towards, visibility, **tensors, **sizes, **LIMITS, **most)
 
 
-LAMBERT_CHUNK = 2**18
-"""Number of normals times directions per chunk in torch."""
 DARK, LEVEL, FLAT = log(1e-4), 0.01, log(1e-2)
 """Largest log κ of a lobe that counts as dark; largest range of log κ and largest log γ of one that counts as constant.
 They only choose the materials whose error is then measured."""
@@ -434,7 +412,7 @@ def lambert_transport(normals: Tensor, towards: Tensor, visibility: Tensor | Non
     multiplies the light, the same in all channels. Arguments are those of `lambert_radiance`.
     """
     out = normals.new_empty(1, towards.shape[1], len(normals))
-    for some in _parts(normals, towards):
+    for some in _chunks(normals, towards.shape[1], CHUNK):
         out[0, :, some] = _cosines(normals, towards, visibility, some)[0].T
     return out
 
@@ -445,15 +423,11 @@ class _Lambert(torch.autograd.Function):
         ctx.save_for_backward(normals, light, towards, visibility)
         if compiled.runs(normals):
             result = torch.empty_like(normals)
-            compiled.call(
-                "lambert",
-                normals.dtype,
-                _packed_lambert(normals, light, towards, visibility),
-                result,
-                compiled.threads(),
-            )
+            packed = _structure("lambert.Irradiance", normals, towards, visibility, light=light)
+            compiled.call("lambert", normals.dtype, packed, result, compiled.threads())
             return result
-        return torch.cat([_cosines(normals, towards, visibility, p)[0] @ light.T for p in _parts(normals, towards)])
+        chunks = _chunks(normals, towards.shape[1], CHUNK)
+        return torch.cat([_cosines(normals, towards, visibility, some)[0] @ light.T for some in chunks])
 
     @staticmethod
     @once_differentiable
@@ -462,19 +436,14 @@ class _Lambert(torch.autograd.Function):
         gradient = gradient.contiguous()
         d_normals, d_light = torch.zeros_like(normals), torch.zeros_like(light)
         if compiled.runs(normals):
-            packed = _packed_lambert(normals, light, towards, visibility)
+            packed = _structure("lambert.Irradiance", normals, towards, visibility, light=light)
             compiled.call("lambert_backward", normals.dtype, packed, gradient, d_light, d_normals, compiled.threads())
         else:
-            for some in _parts(normals, towards):
+            for some in _chunks(normals, towards.shape[1], CHUNK):
                 cosines, reaches = _cosines(normals, towards, visibility, some)
                 d_light += gradient[some].T @ cosines
                 d_normals[some] = (gradient[some] @ light * reaches) @ towards.T
         return d_normals, d_light, None, None
-
-
-def _parts(normals: Tensor, towards: Tensor) -> list[slice]:
-    step = max(16, LAMBERT_CHUNK // max(1, towards.shape[1]))
-    return [slice(start, start + step) for start in range(0, max(1, len(normals)), step)]
 
 
 def _cosines(normals: Tensor, towards: Tensor, visibility: Tensor | None, some: slice) -> tuple[Tensor, Tensor]:
@@ -482,17 +451,5 @@ def _cosines(normals: Tensor, towards: Tensor, visibility: Tensor | None, some: 
     cosines = normals[some] @ towards
     reaches = (cosines > 0).to(cosines.dtype)
     if visibility is not None:
-        reaches *= visibility[:, some].T.to(cosines.dtype) / 255
+        reaches *= _seen(visibility, some, cosines.dtype)
     return cosines * reaches, reaches
-
-
-def _packed_lambert(normals: Tensor, light: Tensor, towards: Tensor, visibility: Tensor | None) -> Any:
-    return compiled.structure(
-        f"lambert.Irradiance.{compiled.NAMES[normals.dtype]}",
-        count=len(normals),
-        directions=towards.shape[1],
-        normals=normals,
-        towards=towards,
-        light=light,
-        visibility=visibility,
-    )
