@@ -81,7 +81,7 @@ def test_a_mesh_is_not_deleted_while_a_job_refers_to_it(assets: OwnedAssets, eng
 
 def test_a_mesh_is_not_deleted_while_a_campaign_refers_to_it(assets: OwnedAssets, engine: Engine) -> None:
     assets.add("alice", MESH, 60)
-    campaign = Record(engine).campaigns.create(campaign_with(MESH), 1, "00", None, "alice")
+    campaign = Record(engine).campaigns.submit(campaign_with(MESH), None, "alice")
     with pytest.raises(InUse, match=campaign.id):
         assets.delete(ALICE, MESH)
 
@@ -104,7 +104,7 @@ def test_a_deleted_mesh_is_refused_by_the_name_of_its_field(assets: OwnedAssets,
         add_job(engine, "alice")
     assert error.value.field == "scene.objects.1.mesh"
     with pytest.raises(InvalidRequest, match="any more") as error:
-        Record(engine).campaigns.create(campaign_with(MESH), 1, "00", None, "alice")
+        Record(engine).campaigns.submit(campaign_with(MESH), None, "alice")
     assert error.value.field == "grids.0.scenes.meshes.1"
     lit = parse({"scene": {"objects": [{"mesh": "primitive/sphere"}], "lights": {"environment": {"map": MESH}}}})
     with pytest.raises(InvalidRequest) as error:
