@@ -6,7 +6,7 @@ from typing import Any
 
 from fastapi import FastAPI
 
-from api.authentication import OPEN, RULES
+from api.authentication import scope_of
 from api.problems import MEDIA_TYPE, ProblemDetails
 
 DESCRIPTION = """\
@@ -126,8 +126,8 @@ def _errors(schema: dict[str, Any]) -> None:
     schema["components"]["securitySchemes"] = {"key": KEY}
     for path, operations in schema["paths"].items():
         for method, operation in operations.items():
-            scope = RULES[f"{'GET' if method == 'head' else method.upper()} {path}"]
-            operation["security"] = [] if scope is OPEN else [{"key": [scope.value]}]
+            scope = scope_of(method.upper(), path)
+            operation["security"] = [] if scope is None else [{"key": [scope.value]}]
             answers = operation["responses"]
             if method == "get" and "application/json" in answers.get("200", {}).get("content", {}):
                 answers.setdefault("304", {"description": "The client has this answer, by its `If-None-Match`."})

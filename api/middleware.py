@@ -34,7 +34,7 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from api.authentication import asks_for_html, rule_of
+from api.authentication import asks_for_html
 from api.dashboard.pages import html
 from api.problems import MEDIA_TYPE, REQUEST_ID, BadRequestField, http_problem, invalid, problem
 from api.requests import client_of, matches
@@ -131,7 +131,7 @@ class Measured:
 
 
 def _template(scope: Scope) -> str:
-    """The path of the request's route, e.g. "/v1/jobs/{job_id}"; "none" for a path without one."""
+    """The path of the request's route, e.g. "/v1/jobs/{job_id}"; "none" if it has none, or was refused before."""
     return getattr(scope.get("route"), "path_format", None) or "none"
 
 
@@ -352,13 +352,12 @@ def _record(scope: Scope, answer: Message) -> None:
         return
     caller = scope.get("state", {}).get("caller")
     who = {"key": caller.key, "owner": caller.owner} if isinstance(caller, Caller) else {"key": None, "owner": None}
-    rule = rule_of(scope["method"], scope["path"])
     location = Headers(raw=answer["headers"]).get("location", "") if status in (201, 202) else ""
     log.info(
         "audit",
         **who,
         client=scope["client"][0] if scope["client"] else None,
-        route=f"{scope['method'][:20]} -" if rule is None else rule.route,
+        route=f"{scope['method'][:20]} {_template(scope)}",
         object=(location or scope["path"])[:MAX_LOGGED],
         status=status,
     )

@@ -6,14 +6,18 @@ from dataclasses import dataclass
 
 import httpx
 from fastapi import FastAPI
+from fastapi.routing import iter_route_contexts
 
-from api.authentication import RULES
+from api.authentication import scope_of
+from api.main import create_app
 from api.requests import Services
 from services.access.caller import Caller, Scope
 from services.jobs.models import CampaignState, State
 from services.pipeline.campaign_spec import parse as parse_campaign
 from services.pipeline.spec import parse
 from services.scenes.bundle import Bundle
+from services.settings import DEFAULTS
+from tests.dashboard_pages import NO_PAGES
 
 SPHERE = {"camera": {"size": [32, 32]}, "objects": [{"mesh": "primitive/sphere"}]}
 ATTACK = {"renderer": "pyrender", "steps": 1, "queries": 20}
@@ -22,8 +26,24 @@ _IDS = ("{job_id}", "{campaign_id}", "{sha256}")
 UPLOAD = Bundle("off", b"OFF\n4 4 0\n0 0 0\n5 0 0\n0 6 0\n0 0 7\n3 0 2 1\n3 0 1 3\n3 0 3 2\n3 1 2 3\n", {})
 MESH = UPLOAD.sha256
 """The digits of an upload of alice's."""
-CLOSED = {route: scope for route, scope in RULES.items() if scope is not None}
+
+
+def routes(app: FastAPI) -> list[str]:
+    """Method and path of every route, in the schema or not; HEAD as GET."""
+    found = set()
+    for route in iter_route_contexts(app.router.routes):
+        assert route.path is not None
+        for method in route.methods or {"?"}:
+            found.add(f"{'GET' if method == 'HEAD' else method} {route.path}")
+    return sorted(found)
+
+
+ROUTES = {route: scope_of(*route.split(" ")) for route in routes(create_app(DEFAULTS))}
+"""Method and path of every route, and the scope that it needs."""
+CLOSED = {route: scope for route, scope in ROUTES.items() if scope is not None}
 """The routes that need a key, and their scopes."""
+PAGES = [route for route in CLOSED if not NO_PAGES.match(route.partition(" ")[2])]
+"""Those among them that a person sees in a browser."""
 OWNED = [route for route in CLOSED if any(part in route for part in _IDS)]
 """The routes to what one owner has."""
 
