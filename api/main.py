@@ -27,7 +27,6 @@ from api.middleware import (
     Conditional,
     ErrorPages,
     Measured,
-    OpenUploads,
     Refuse,
     RequestId,
     RequestMetrics,
@@ -44,7 +43,7 @@ from api.routes.service import ServiceMetrics
 from api.submissions import Checks, Submissions
 from api.uploads import MeshUploads
 from api.warm_pool import Exporter, WarmPool, WarmProcess
-from api.watchers import ListWatcher, Watcher
+from api.watchers import Watcher
 from services.access.caller import Caller, OwnedAssets, Quotas
 from services.access.keys import AccessKeys, Sessions, check_listening, listen
 from services.errors import InvalidRequest
@@ -104,7 +103,7 @@ def create_app(values: Settings) -> FastAPI:
         library = Library(values.cache_dir, values.files)
         uploads = MeshUploads(library, values)
         uploads.start()
-        watcher, list_watcher = Watcher(record, keys), ListWatcher(record.lists, keys)
+        watcher = Watcher(record, keys)
         store = ArtifactStore(values.files)
         quotas = Quotas(owned, values.owner_queued, values.owner_campaigns, values.owner_upload_bytes)
 
@@ -127,7 +126,6 @@ def create_app(values: Settings) -> FastAPI:
             checks=Checks(pool, names, values),
             exporter=Exporter(pool),
             watcher=watcher,
-            list_watcher=list_watcher,
             storage=Storage(values.data_dir, store),
             deleted_assets=DeletedAssets(record.database, library),
         )
@@ -140,7 +138,6 @@ def create_app(values: Settings) -> FastAPI:
             for task in tasks:
                 task.cancel()
             watcher.close()
-            list_watcher.close()
             pool.close()
             uploads.close()
             redis.close()
@@ -171,7 +168,6 @@ def create_app(values: Settings) -> FastAPI:
             Middleware(Audit),
             Middleware(Refuse, checks=(known_hosts(values.own_hosts), same_site)),
             Middleware(Authentication),
-            Middleware(OpenUploads, paths=_UPLOADS),
             Middleware(Refuse, checks=(no_nul, utf8_form)),
             Middleware(BodyLimit, uploads=dict.fromkeys(_UPLOADS, values.max_upload_bytes)),
         ],

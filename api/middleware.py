@@ -6,7 +6,7 @@
 - `Audit` logs who changed what and who was refused.
 - `Refuse` has checks. `known_hosts` and `same_site` protect the service from web sites that its users visit;
   `utf8_form` and `no_nul` refuse forms in other encodings than UTF-8, and paths with a character that no text has.
-- `BodyLimit` and `OpenUploads` refuse bodies that are too large, and more uploads of a client than may be open.
+- `BodyLimit` refuses bodies that are too large.
 
 A web site can give its own name the address of this machine, and a browser then takes the service for a part of that
 site (DNS rebinding); the name in the Host header shows it. A page of another site can make the browser of somebody who
@@ -17,7 +17,6 @@ Origin); other programs do not.
 import json
 import re
 import time
-from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from hashlib import sha256
 from http import HTTPStatus
@@ -37,7 +36,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from api.authentication import asks_for_html
 from api.dashboard.pages import html
 from api.problems import MEDIA_TYPE, REQUEST_ID, BadRequestField, http_problem, invalid, problem
-from api.requests import client_of, matches
+from api.requests import matches
 from services.access.caller import Caller
 from services.addresses import is_loopback
 from services.errors import InvalidRequest
@@ -520,51 +519,3 @@ def no_nul(scope: Scope) -> Response | None:
         name = next((name for name, value in parameters if "\0" in value), "query")
         return invalid([InvalidRequest(name, "it has the character U+0000, which no text may have")])
     return None
-
-
-MAX_OPEN_UPLOADS = 8
-"""Uploads of one client at the same time; two of all clients are parsed at once."""
-RETRY_SECONDS = 5
-
-
-class OpenUploads:
-    """Answers 429 to an upload to one of `paths` of a client that has `most` open on all of them: the same owner, or
-    address without keys.
-    """
-
-    def __init__(self, app: ASGIApp, paths: Collection[str], most: int = MAX_OPEN_UPLOADS) -> None:
-        self.app = app
-        self.paths = paths
-        self.most = most
-        self._open: Counter[str] = Counter()
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """ASGI."""
-        if scope["type"] != "http" or scope["method"] != "POST" or scope["path"] not in self.paths:
-            return await self.app(scope, receive, send)
-        caller = scope["state"]["caller"]
-        assert isinstance(caller, Caller)  # the route needs a key, or there is none
-        client = client_of(Request(scope), caller)
-        if self._open[client] >= self.most:
-            detail = f"{self.most} uploads of yours are open already; send the next when one has been answered"
-            return await problem(429, detail, headers={"Retry-After": str(RETRY_SECONDS)})(scope, receive, send)
-        self._open[client] += 1
-        is_open = True
-
-        def close() -> None:
-            nonlocal is_open
-            if is_open:
-                is_open = False
-                self._open[client] -= 1
-                if not self._open[client]:
-                    del self._open[client]
-
-        async def answered(message: Message) -> None:
-            if message["type"] == "http.response.start":  # whoever has the answer may send the next one
-                close()
-            await send(message)
-
-        try:
-            return await self.app(scope, receive, answered)
-        finally:
-            close()

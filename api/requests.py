@@ -23,7 +23,7 @@ from api.schemas import JobView
 from api.submissions import Checks, Submissions
 from api.uploads import MeshUploads
 from api.warm_pool import Exporter, WarmPool
-from api.watchers import ListWatcher, Watcher
+from api.watchers import Watcher
 from services.access.caller import Caller, OwnedAssets, Quotas
 from services.access.keys import AccessKeys, Sessions
 from services.errors import InvalidRequest
@@ -60,14 +60,9 @@ async def caller(request: Request) -> Caller:
 CallerDependency = Annotated[Caller, Depends(caller)]
 
 
-def client_of(request: Request, caller: Caller) -> str:
+async def client(request: Request, caller: CallerDependency) -> str:
     """Returns the client whose turn a request takes: its owner, or its address if nobody has a key."""
     return f"owner {caller.owner}" if caller.key else "" if request.client is None else request.client.host
-
-
-async def client(request: Request, caller: CallerDependency) -> str:
-    """Returns the client whose turn a request takes, as `client_of`; a dependency of routes."""
-    return client_of(request, caller)
 
 
 Client = Annotated[str, Depends(client)]
@@ -116,7 +111,6 @@ class Services:
     uploads: MeshUploads
     exporter: Exporter
     watcher: Watcher
-    list_watcher: ListWatcher
     storage: Storage
     deleted_assets: DeletedAssets
 

@@ -1,4 +1,4 @@
-"""Follows jobs in the record while workers run them, for the event streams of this process and for its open lists.
+"""Follows jobs in the record while workers run them, for the event streams of this process.
 
 A stream reads what happened before it began by itself. What follows is read once, however many streams wait for it. A
 stream ends with the key of its client.
@@ -15,9 +15,7 @@ from functools import partial
 from sqlalchemy.exc import SQLAlchemyError
 from starlette.concurrency import run_in_threadpool
 
-from services.access.caller import Caller
 from services.access.keys import AccessKeys
-from services.jobs.job_list import JobLists
 from services.jobs.jobs import News
 from services.jobs.models import Event, Job
 from services.jobs.record import Record
@@ -206,54 +204,3 @@ class Watcher:
                     if job_id in self._followed:
                         self._followed[job_id].add(latest)
             await asyncio.sleep(POLL_SECONDS)
-
-
-LIST_POLL_SECONDS = 0.7
-"""Time between two looks."""
-
-
-class ListWatcher:
-    """Looks at the jobs that have not ended while there are lists that wait for a change of them."""
-
-    def __init__(self, lists: JobLists, keys: AccessKeys) -> None:
-        self._lists = lists
-        self._keys = StreamKeys(keys)
-        self._marks: dict[str, str] | None = None
-        """A text by owner that changes with the owner's jobs; None before the first look."""
-        self._looked = asyncio.Event()
-        self._task: asyncio.Task[None] | None = None
-
-    def close(self) -> None:
-        """Stops looking."""
-        if self._task is not None:
-            self._task.cancel()
-
-    async def changes(self, caller: Caller) -> AsyncGenerator[str, None]:
-        """Yields a mark of the jobs that the caller sees, at first and whenever it has changed, until its key ends."""
-        last = None
-        with self._keys.waiting(caller.key):
-            if self._task is None or self._task.done():
-                self._marks = None
-                self._task = asyncio.get_running_loop().create_task(self._watch())
-            while not self._keys.ended(caller.key):
-                mark = self._mark(caller.only)
-                if mark is not None and mark != last:
-                    last = mark
-                    yield mark
-                await self._looked.wait()
-
-    def _mark(self, owner: str | None) -> str | None:
-        if self._marks is None:
-            return None
-        return self._marks.get(owner, "") if owner is not None else str(sorted(self._marks.items()))
-
-    async def _watch(self) -> None:
-        while self._keys:
-            await self._keys.look()
-            try:
-                self._marks = await run_in_threadpool(self._lists.marks)
-            except SQLAlchemyError as error:
-                log.warning("changes of lists not read", error=str(error))
-            heard, self._looked = self._looked, asyncio.Event()
-            heard.set()
-            await asyncio.sleep(LIST_POLL_SECONDS)

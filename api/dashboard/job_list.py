@@ -1,14 +1,11 @@
 """The page of the jobs: one query box that is the address, sortable columns, and what is done with the ticked jobs."""
 
-from collections.abc import AsyncIterator
-from contextlib import aclosing
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 from urllib.parse import urlencode
 
 from fastapi import APIRouter, Form, Query, Response
 from fastapi.responses import RedirectResponse
-from fastapi.sse import EventSourceResponse, ServerSentEvent
 
 from api.cursors import NEWEST, SORT_PATTERN, page_cursors, read_cursor
 from api.dashboard.pages import HEADERS, html
@@ -91,16 +88,8 @@ def jobs(
 def jobs_part(
     services: ServicesDependency, caller: CallerDependency, q: Text = "", sort: Sort = NEWEST, cursor: Place = None
 ) -> Response:
-    """The part of the list that the script reads when something has changed."""
+    """The part of the list that the script reloads."""
     return shown("_jobs.html", services, caller, q, sort, cursor)
-
-
-@router.get("/parts/jobs/changes", response_class=EventSourceResponse)
-async def changes(services: ServicesDependency, caller: CallerDependency) -> AsyncIterator[ServerSentEvent]:
-    """Says at first, and then whenever a job of the caller has changed, that the list may have."""
-    async with aclosing(services.list_watcher.changes(caller)) as marks:
-        async for _ in marks:
-            yield ServerSentEvent(data={}, event="changed")
 
 
 @router.post("/jobs/selected")

@@ -210,9 +210,6 @@ _COMPARE: dict[str, Callable[[Any, Any], ColumnElement[bool]]] = {
 }
 _ANYWHERE = (Job.title, Job.scene, Job.renderer, Job.method, Job.target)
 """The texts in which words without a field are looked for."""
-OPEN = (State.QUEUED, State.RUNNING, State.CANCELLING)
-RECENT = 50
-"""Newest jobs of all owners that are looked at for a change of their lists."""
 
 
 @dataclass(frozen=True)
@@ -320,22 +317,6 @@ class JobLists:
             queries=sum(int(row[4] or 0) for row in rows),
             seconds=float(sum(row[5] or 0 for row in rows)),
         )
-
-    def marks(self) -> dict[str, str]:
-        """Returns, by owner, a text that changes when a job of the owner is submitted, moves or gets further, or ends.
-
-        A job may begin and end between two looks: the newest jobs are looked at, too.
-        """
-        listed = Job.kind != JobKind.SELECTION
-        open_jobs = select(Job.owner, func.count(), func.sum(Job.events), func.max(Job.created_at))
-        newest = select(Job.owner, Job.id).where(listed).order_by(Job.created_at.desc(), Job.id.desc()).limit(RECENT)
-        with self._database.read() as session:
-            rows = session.execute(open_jobs.where(Job.state.in_(OPEN), listed).group_by(Job.owner)).all()
-            last: dict[str, str] = {}
-            for owner, job_id in session.execute(newest):
-                last.setdefault(owner, job_id)
-        moving = {owner: f"{jobs} {events} {created}" for owner, jobs, events, created in rows}
-        return {owner: f"{moving.get(owner, '')} {last.get(owner, '')}" for owner in moving.keys() | last.keys()}
 
     def edit(self, job_id: str, changes: Mapping[str, Any]) -> None:
         """Writes a job's `title`, `note` and `tags`, those that are given. Does nothing if there is no such job."""

@@ -66,12 +66,8 @@ function patch(part) {
 const parsed = (html) => new DOMParser().parseFromString(html, "text/html");
 
 let busy = false;
-let again = false;
 async function refresh() {
-  if (busy) {
-    again = true;
-    return;
-  }
+  if (busy || document.hidden) return;
   busy = true;
   try {
     const response = await fetch(root.dataset.part + location.search, { headers: { Accept: "text/html" } });
@@ -82,12 +78,7 @@ async function refresh() {
   } catch {
     connection.hidden = false;
   }
-  await new Promise((done) => setTimeout(done, 700));
   busy = false;
-  if (again) {
-    again = false;
-    refresh();
-  }
 }
 
 const ticks = () => [...root.querySelectorAll("#rows input:checked")];
@@ -181,16 +172,5 @@ columns();
 remember(root);
 begin();
 
-function follow() {
-  const source = new EventSource(root.dataset.changes);
-  source.addEventListener("changed", refresh);
-  source.addEventListener("open", () => {
-    connection.hidden = true;
-  });
-  source.addEventListener("error", () => {
-    connection.hidden = false;
-    refresh(); // which asks to sign in if the session has ended
-    if (source.readyState === EventSource.CLOSED) setTimeout(follow, 2000); // a browser does not ask again by itself
-  });
-}
-follow();
+setInterval(refresh, 3000);
+document.addEventListener("visibilitychange", refresh);

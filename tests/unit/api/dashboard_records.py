@@ -235,7 +235,6 @@ def app(record: Record, queue: Queue | None = None) -> FastAPI:
         exporter=none,
         reading=Reading(create_engine("sqlite://")),
         watcher=none,
-        list_watcher=none,
         storage=none,
         deleted_assets=none,
     )

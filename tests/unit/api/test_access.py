@@ -50,7 +50,6 @@ ENDLESS = (
     "GET /v1/jobs/{job_id}/export",
     "GET /v1/jobs/{job_id}/scene.glb",
     "GET /assets/pictures/{asset:path}",
-    "GET /parts/jobs/changes",
     "GET /compare",
     "GET /compare/campaigns",
     "GET /assets/scenes/{asset:path}",

@@ -116,18 +116,6 @@ def test_ids_and_owners(lists: JobLists, jobs: list[str]) -> None:
     assert lists.totals((), owner="alice").jobs == 0
 
 
-def test_a_job_that_begins_and_ends_between_two_looks_changes_its_owner_s_mark(
-    lists: JobLists, record: Record, clock: Clock
-) -> None:
-    add(record, parse({"scene": {"objects": [{"mesh": "primitive/cube"}]}}))
-    before = lists.marks()
-    clock.advance(1)
-    attempt = start(record, add(record, parse({"scene": {"objects": [{"mesh": "primitive/sphere"}]}})))
-    record.leases.succeed(attempt, {}, {}, [])
-    assert lists.marks() != before
-    assert lists.marks() == lists.marks()
-
-
 def test_totals_are_sums_over_the_list(lists: JobLists, jobs: list[str]) -> None:  # noqa: ARG001 - they are there
     found = lists.totals(())
     ended = [n for n in range(11) if n % 3]
