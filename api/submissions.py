@@ -161,13 +161,16 @@ class Submissions:
         """
         return await run_in_threadpool(self._submit, request, checked, caller, demand, key, file=file)
 
-    def retry(self, caller: Caller, job: Job, checkpoint: Artifact | None = None) -> JobView:
-        """Queues a job with the request, priority, device and memory of `job`, which was read with its request.
+    def retry(self, caller: Caller, job_id: str, checkpoint: Artifact | None = None) -> JobView:
+        """Queues a job with the request, priority, device and memory of another one.
 
         The new job belongs to the caller and to no campaign; a worker checks it before it runs. It goes on from
-        `checkpoint`, a file of `job`, if given. Raises InvalidRequest if the request cannot run any more, and as
-        `submit` does.
+        `checkpoint`, a file of the other, if given. Raises InvalidRequest if the request cannot run any more,
+        HTTPException(404) if there is no such job any more, and as `submit` does.
         """
+        job = self.record.jobs.get(job_id)
+        if job is None:
+            raise HTTPException(404, "there is no such job")
         request: JobSpec | RerenderingSpec
         if job.kind is JobKind.RERENDERING:
             request = RerenderingSpec.model_validate(job.spec)

@@ -8,14 +8,13 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 from urllib.parse import urlencode
 
-from fastapi import APIRouter, Query, Response
+from fastapi import APIRouter, Query, Request, Response
 from fastapi.responses import RedirectResponse
 
 from api.cursors import campaign_cursor, read_campaign_cursor
 from api.dashboard.charts import Chart, chart
-from api.dashboard.pages import HEADERS, html
-from api.requests import CallerDependency, Services, ServicesDependency, no_such
-from services.access.caller import Caller
+from api.dashboard.pages import HEADERS, html, part_of
+from api.requests import CallerDependency, ServicesDependency, no_such
 from services.analysis.campaign_table import (
     CASE_FIELDS,
     GRID_MEASURES,
@@ -174,62 +173,15 @@ router = APIRouter(include_in_schema=False)
 
 
 @router.get("/campaigns")
+@router.get("/parts/campaigns")
 def campaigns(
+    request: Request,
     services: ServicesDependency,
     caller: CallerDependency,
     state: CampaignState | None = None,
     cursor: Annotated[str | None, Query(max_length=200)] = None,
 ) -> Response:
     """The list of campaigns, newest first."""
-    return _list("campaigns.html", services, caller, state, cursor)
-
-
-@router.get("/parts/campaigns")
-def campaigns_part(
-    services: ServicesDependency,
-    caller: CallerDependency,
-    state: CampaignState | None = None,
-    cursor: Annotated[str | None, Query(max_length=200)] = None,
-) -> Response:
-    """The part of the list that the script reloads."""
-    return _list("_campaigns.html", services, caller, state, cursor)
-
-
-@router.get("/campaigns/{campaign_id}")
-def campaign(
-    campaign_id: str,
-    services: ServicesDependency,
-    caller: CallerDependency,
-    rows: Field = "scene",
-    columns: Field = "attack",
-    measure: Field = "success",
-    row: Field | None = None,
-    column: Field | None = None,
-) -> Response:
-    """The page of one campaign, with a heat map of two fields; `row` and `column` open a cell of it."""
-    return _campaign("campaign.html", campaign_id, services, caller, Choice(rows, columns, measure, row, column))
-
-
-@router.get("/parts/campaigns/{campaign_id}")
-def campaign_part(campaign_id: str, services: ServicesDependency, caller: CallerDependency) -> Response:
-    """The part of a campaign's page that the script reloads."""
-    return _campaign("_campaign.html", campaign_id, services, caller)
-
-
-@router.post("/campaigns/{campaign_id}/{move}")
-def move(campaign_id: str, move: str, services: ServicesDependency, caller: CallerDependency) -> Response:
-    """Pauses, resumes or cancels a campaign, as the buttons on its page ask, and redirects to the page."""
-    record = services.record.campaigns
-    moves = {"pause": record.pause, "resume": record.resume, "cancel": record.cancel}
-    if move not in moves or caller.visible(record.get(campaign_id)) is None:
-        raise no_such("campaign")
-    moves[move](campaign_id)
-    return RedirectResponse(f"/campaigns/{campaign_id}", 303, HEADERS)
-
-
-def _list(
-    template: str, services: Services, caller: Caller, state: CampaignState | None, cursor: str | None
-) -> Response:
     try:
         before = None if cursor is None else read_campaign_cursor(cursor)
     except InvalidRequest:
@@ -239,12 +191,26 @@ def _list(
     older = campaign_cursor(rows[PAGE - 1]) if len(rows) > PAGE else None
     progress = record.progress([row.id for row in rows])
     lines = [(row, progress[row.id]) for row in rows[:PAGE]]
+    template = part_of(request, "campaigns.html")
     return html(template, caller=caller, lines=lines, state=state, cursor=cursor, older=older)
 
 
-def _campaign(
-    template: str, campaign_id: str, services: Services, caller: Caller, choice: Choice | None = None
+@router.get("/campaigns/{campaign_id}")
+@router.get("/parts/campaigns/{campaign_id}")
+def campaign(
+    campaign_id: str,
+    request: Request,
+    services: ServicesDependency,
+    caller: CallerDependency,
+    rows: Field = "scene",
+    columns: Field = "attack",
+    measure: Field = "success",
+    row: Field | None = None,
+    column: Field | None = None,
 ) -> Response:
+    """The page of one campaign, with a heat map of two fields, which its script does not reload; `row` and `column`
+    open a cell of it.
+    """
     stored = caller.visible(services.record.campaigns.get(campaign_id, whole=True))
     if stored is None:
         raise no_such("campaign")
@@ -265,9 +231,22 @@ def _campaign(
         "chosen": sum(view.chosen for view in result.views),
         "why_none": nothing_chosen(result.views) if stored.selected_at else None,
     }
-    if choice is not None:
+    template = part_of(request, "campaign.html")
+    if template == "campaign.html":
+        choice = Choice(rows, columns, measure, row, column)
         values["cases"] = cases(services.record.campaigns, stored, choice)
     return html(template, caller=caller, **values)
+
+
+@router.post("/campaigns/{campaign_id}/{move}")
+def move(campaign_id: str, move: str, services: ServicesDependency, caller: CallerDependency) -> Response:
+    """Pauses, resumes or cancels a campaign, as the buttons on its page ask, and redirects to the page."""
+    record = services.record.campaigns
+    moves = {"pause": record.pause, "resume": record.resume, "cancel": record.cancel}
+    if move not in moves or caller.visible(record.get(campaign_id)) is None:
+        raise no_such("campaign")
+    moves[move](campaign_id)
+    return RedirectResponse(f"/campaigns/{campaign_id}", 303, HEADERS)
 
 
 def _charts(cells: Sequence[Cell], along: Along) -> list[Chart]:

@@ -4,11 +4,11 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 from urllib.parse import urlencode
 
-from fastapi import APIRouter, Form, Query, Response
+from fastapi import APIRouter, Form, Query, Request, Response
 from fastapi.responses import RedirectResponse
 
 from api.cursors import NEWEST, SORT_PATTERN, page_cursors, read_cursor
-from api.dashboard.pages import HEADERS, html
+from api.dashboard.pages import HEADERS, html, part_of
 from api.requests import CallerDependency, Services, ServicesDependency
 from api.schemas import MOST_TAGS, TAG_WORDS, is_tag
 from services.access.caller import Caller
@@ -77,19 +77,17 @@ class Strip:
 
 
 @router.get("/")
+@router.get("/parts/jobs")
 def jobs(
-    services: ServicesDependency, caller: CallerDependency, q: Text = "", sort: Sort = NEWEST, cursor: Place = None
+    request: Request,
+    services: ServicesDependency,
+    caller: CallerDependency,
+    q: Text = "",
+    sort: Sort = NEWEST,
+    cursor: Place = None,
 ) -> Response:
     """The list of jobs that meet a query."""
-    return shown("jobs.html", services, caller, q, sort, cursor)
-
-
-@router.get("/parts/jobs")
-def jobs_part(
-    services: ServicesDependency, caller: CallerDependency, q: Text = "", sort: Sort = NEWEST, cursor: Place = None
-) -> Response:
-    """The part of the list that the script reloads."""
-    return shown("_jobs.html", services, caller, q, sort, cursor)
+    return shown(part_of(request, "jobs.html"), services, caller, q, sort, cursor)
 
 
 @router.post("/jobs/selected")
@@ -133,7 +131,7 @@ def _act(services: Services, caller: Caller, action: str, job_id: str, tag: str)
             raise InUse(f"it has {MOST_TAGS} tags already, and may have no more")
         services.record.lists.edit(job_id, {"tags": tags})
     else:
-        services.submissions.retry(caller, job)
+        services.submissions.retry(caller, job_id)
 
 
 def address(q: str, sort: str, cursor: str | None = None) -> str:

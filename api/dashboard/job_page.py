@@ -14,12 +14,11 @@ from fastapi.responses import RedirectResponse
 from pydantic import ValidationError
 
 from api.dashboard import views
-from api.dashboard.pages import HEADERS, STATIC, VERSION, html
+from api.dashboard.pages import HEADERS, STATIC, VERSION, html, part_of
 from api.dashboard.views import all_events
 from api.requests import CallerDependency, KnownJob, Services, ServicesDependency, no_such
 from api.routes.jobs import continued
 from api.schemas import JobEdit
-from services.access.caller import Caller
 from services.errors import InvalidFields
 from services.jobs.files import Damaged, delete_with_files
 from services.jobs.models import Artifact, JobKind
@@ -34,15 +33,21 @@ _KINDS = {"css": "text/css", "js": "text/javascript", "svg": "image/svg+xml"}
 
 
 @router.get("/jobs/{job_id}")
+@router.get("/parts/jobs/{job_id}")
 def job(job_id: str, services: ServicesDependency, caller: CallerDependency, request: Request) -> Response:
     """The page of one job."""
-    return _job("", job_id, services, caller, request)
-
-
-@router.get("/parts/jobs/{job_id}")
-def job_part(job_id: str, services: ServicesDependency, caller: CallerDependency, request: Request) -> Response:
-    """The part of a job's page that the script reloads."""
-    return _job("_", job_id, services, caller, request)
+    stored = caller.visible(services.record.jobs.get(job_id, with_result=True))
+    if stored is None:
+        raise no_such("job")
+    if stored.kind is JobKind.RERENDERING:
+        return html(part_of(request, "rerendering.html"), caller=caller, job=stored)
+    events = all_events(services.record, job_id)
+    artifacts = services.record.jobs.artifacts(job_id)
+    page = views.page(stored, events, artifacts, _best_so_far(services, artifacts))
+    retries = services.record.lists.retries(job_id, caller.only)
+    sent_again = commands(stored.spec, str(request.base_url).rstrip("/"), with_key=bool(caller.key))
+    values: dict[str, Any] = {"job": stored, "page": page, "retries": retries, "commands": sent_again}
+    return html(part_of(request, "job.html"), caller=caller, **values)
 
 
 @router.post("/jobs/{job_id}/cancel")
@@ -68,20 +73,6 @@ def static(path: str) -> Response:
     kept = "no-cache" if name == path else "max-age=31536000, immutable"
     kind = _KINDS.get(name.rpartition(".")[2], "text/plain")
     return Response(data, headers=HEADERS | {"Cache-Control": kept}, media_type=kind)
-
-
-def _job(part: str, job_id: str, services: Services, caller: Caller, request: Request) -> Response:
-    stored = caller.visible(services.record.jobs.get(job_id, with_result=True))
-    if stored is None:
-        raise no_such("job")
-    if stored.kind is JobKind.RERENDERING:
-        return html(f"{part}rerendering.html", caller=caller, job=stored)
-    events = all_events(services.record, job_id)
-    artifacts = services.record.jobs.artifacts(job_id)
-    page = views.page(stored, events, artifacts, _best_so_far(services, artifacts))
-    retries = services.record.lists.retries(job_id, caller.only)
-    sent_again = commands(stored.spec, str(request.base_url).rstrip("/"), with_key=bool(caller.key))
-    return html(f"{part}job.html", caller=caller, job=stored, page=page, retries=retries, commands=sent_again)
 
 
 def _best_so_far(services: Services, artifacts: Sequence[Artifact]) -> dict[str, Any] | None:
@@ -115,10 +106,7 @@ def edit(
 @router.post("/jobs/{job_id}/retry")
 def again(job: KnownJob, services: ServicesDependency, caller: CallerDependency) -> Response:
     """Queues the job's request again, and goes to the new job's page."""
-    stored = services.record.jobs.get(job.id)
-    if stored is None:
-        raise no_such("job")
-    return _to(f"/jobs/{services.submissions.retry(caller, stored).id}")
+    return _to(f"/jobs/{services.submissions.retry(caller, job.id).id}")
 
 
 @router.post("/jobs/{job_id}/delete")

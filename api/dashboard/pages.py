@@ -7,7 +7,7 @@ from importlib.resources import files
 from importlib.resources.abc import Traversable
 from typing import Any
 
-from fastapi import Response
+from fastapi import Request, Response
 from fastapi.responses import HTMLResponse
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
@@ -85,6 +85,11 @@ _templates.globals |= {
 _templates.globals["areas"] = AREAS
 _templates.filters["prose"] = prose
 _templates.globals |= {"campaign_states": list(CampaignState), "changed": CHANGED, "polar": polar}
+
+
+def part_of(request: Request, page: str) -> str:
+    """The template of a page, or that of the part of it which its script reloads from the path below /parts."""
+    return f"_{page}" if request.url.path.startswith("/parts/") else page
 
 
 def html(template: str, status: int = 200, caller: Caller | None = None, **values: Any) -> Response:

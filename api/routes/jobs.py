@@ -170,10 +170,7 @@ def edit_job(
 @router.post("/jobs/{job_id}/retry", status_code=202)
 def retry_job(job: KnownJob, services: ServicesDependency, caller: CallerDependency, response: Response) -> JobView:
     """Queues the job's request again: a new job, whose `retry_of` is this one. A worker checks it before it runs."""
-    first = services.record.jobs.get(job.id)
-    if first is None:
-        raise no_such("job")
-    queued = services.submissions.retry(caller, first)
+    queued = services.submissions.retry(caller, job.id)
     response.headers["Location"] = f"/v1/jobs/{queued.id}"
     return queued
 
@@ -217,10 +214,7 @@ def continued(job: Job, services: Services, caller: Caller) -> JobView:
     checkpoint = services.record.jobs.artifact(job.id, CHECKPOINT)
     if checkpoint is None:
         raise HTTPException(409, "the job ended before its first checkpoint; send its request again")
-    first = services.record.jobs.get(job.id)
-    if first is None:
-        raise no_such("job")
-    return services.submissions.retry(caller, first, checkpoint)
+    return services.submissions.retry(caller, job.id, checkpoint)
 
 
 def resume_after(
