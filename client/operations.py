@@ -1,4 +1,4 @@
-"""The operations of the HTTP API: each function gives the request of one, with the model of its answer.
+"""The operations of the HTTP API: each function returns the request of one, with the model of its answer.
 
 This is the table of openapi.yaml's operations: method, path, parameters and models. A client sends a request and reads
 its answer: `client.call(operations.list_targets()).items`. A parameter that is None is left out of the request. The
@@ -7,8 +7,8 @@ models are those with which the service makes its answers; fields that a newer s
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Generic, Literal, TypeVar
 from urllib.parse import quote
@@ -100,6 +100,28 @@ def _plain(body: BaseModel | Mapping[str, Any]) -> Any:
     return body.model_dump(mode="json", exclude_unset=isinstance(body, JobEdit))
 
 
+def _of_service(route: str, answer: type[Answer]) -> Callable[[], Request[Answer]]:
+    """An operation that takes nothing."""
+    return lambda: Request("GET", route, answer)
+
+
+def _of_job(method: str, route: str, answer: type[Answer]) -> Callable[[str], Request[Answer]]:
+    """An operation on the job with an id; `route` is what follows the job's own path."""
+    return lambda job_id: Request(method, "/v1/jobs/{job_id}" + route, answer, {"job_id": job_id})
+
+
+def _of_campaign(method: str, route: str, answer: type[Answer]) -> Callable[[str], Request[Answer]]:
+    """An operation on the campaign with an id."""
+    return lambda campaign_id: Request(
+        method, "/v1/campaigns/{campaign_id}" + route, answer, {"campaign_id": campaign_id}
+    )
+
+
+def _of_asset(method: str, route: str, answer: type[Answer]) -> Callable[[str], Request[Answer]]:
+    """An operation on an upload by its name, "sha256:" and 64 digits, or by the digits alone."""
+    return lambda name: Request(method, "/v1/assets/{sha256}" + route, answer, {"sha256": name.removeprefix("sha256:")})
+
+
 def submit_job(
     spec: JobSpec | Mapping[str, Any],
     *,
@@ -150,13 +172,12 @@ def get_job_table(*, q: str | None = None, sort: str | None = None, job: list[st
 
 
 def get_job_table_csv(*, q: str | None = None, sort: str | None = None, job: list[str] | None = None) -> Request[str]:
-    """The table of `jobs_json` as CSV."""
+    """The table of `get_job_table` as CSV."""
     return Request("GET", "/v1/jobs.csv", str, params={"q": q, "sort": sort, "job": job})
 
 
-def get_job(job_id: str) -> Request[JobView]:
-    """One job, with its request and, when it has succeeded, its result."""
-    return Request("GET", "/v1/jobs/{job_id}", JobView, {"job_id": job_id})
+get_job = _of_job("GET", "", JobView)
+"""One job, with its request and, when it has succeeded, its result."""
 
 
 def edit_job(job_id: str, body: JobEdit | Mapping[str, Any]) -> Request[JobView]:
@@ -164,24 +185,14 @@ def edit_job(job_id: str, body: JobEdit | Mapping[str, Any]) -> Request[JobView]
     return Request("PATCH", "/v1/jobs/{job_id}", JobView, {"job_id": job_id}, json=body)
 
 
-def retry_job(job_id: str) -> Request[JobView]:
-    """Queues a job's request again, as a new job."""
-    return Request("POST", "/v1/jobs/{job_id}/retry", JobView, {"job_id": job_id})
-
-
-def delete_job(job_id: str) -> Request[None]:
-    """Deletes a job that has ended, with its files."""
-    return Request("DELETE", "/v1/jobs/{job_id}", type(None), {"job_id": job_id})
-
-
-def cancel_job(job_id: str) -> Request[JobView]:
-    """Asks a job to stop; one that has ended stays as it is."""
-    return Request("POST", "/v1/jobs/{job_id}/cancel", JobView, {"job_id": job_id})
-
-
-def continue_job(job_id: str) -> Request[JobView]:
-    """Queues a new job that goes on from the checkpoint of one that was cancelled or failed."""
-    return Request("POST", "/v1/jobs/{job_id}/continue", JobView, {"job_id": job_id})
+retry_job = _of_job("POST", "/retry", JobView)
+"""Queues a job's request again, as a new job."""
+delete_job = _of_job("DELETE", "", type(None))
+"""Deletes a job that has ended, with its files."""
+cancel_job = _of_job("POST", "/cancel", JobView)
+"""Asks a job to stop; one that has ended stays as it is."""
+continue_job = _of_job("POST", "/continue", JobView)
+"""Queues a new job that goes on from the checkpoint of one that was cancelled or failed."""
 
 
 def stream_job_events(job_id: str, *, last_event_id: str | None = None) -> Request[bytes]:
@@ -191,9 +202,8 @@ def stream_job_events(job_id: str, *, last_event_id: str | None = None) -> Reque
     )
 
 
-def list_artifacts(job_id: str) -> Request[ArtifactList]:
-    """The list of a finished job's files."""
-    return Request("GET", "/v1/jobs/{job_id}/artifacts", ArtifactList, {"job_id": job_id})
+list_artifacts = _of_job("GET", "/artifacts", ArtifactList)
+"""The list of a finished job's files."""
 
 
 def download_artifact(job_id: str, name: str, *, if_none_match: str | None = None) -> Request[bytes]:
@@ -233,15 +243,10 @@ def rerender_image(
     """Queues a job that renders the scene of an image again and asks the network about both; its `result` is a
     RerenderingView. The other arguments are those of `submit_job`.
     """
-    return Request(
-        "POST",
-        "/v1/rerenderings",
-        JobView,
-        params={"priority": priority, "device": device, "memory": memory},
-        headers={"Idempotency-Key": idempotency_key, "Prefer": None if wait is None else f"wait={wait:.0f}"},
-        json=body,
-        seconds=CHECK_SECONDS,
+    submission = submit_job(
+        {}, priority=priority, device=device, memory=memory, idempotency_key=idempotency_key, wait=wait
     )
+    return replace(submission, route="/v1/rerenderings", json=body)
 
 
 def submit_campaign(
@@ -271,29 +276,16 @@ def list_campaigns(
     return Request("GET", "/v1/campaigns", CampaignPage, params={"state": state, "limit": limit, "cursor": cursor})
 
 
-def get_campaign(campaign_id: str) -> Request[CampaignView]:
-    """One campaign, with its request, progress and outcomes."""
-    return Request("GET", "/v1/campaigns/{campaign_id}", CampaignView, {"campaign_id": campaign_id})
-
-
-def pause_campaign(campaign_id: str) -> Request[CampaignView]:
-    """Holds a campaign's queued jobs back."""
-    return Request("POST", "/v1/campaigns/{campaign_id}/pause", CampaignView, {"campaign_id": campaign_id})
-
-
-def resume_campaign(campaign_id: str) -> Request[CampaignView]:
-    """Lets a paused campaign go on."""
-    return Request("POST", "/v1/campaigns/{campaign_id}/resume", CampaignView, {"campaign_id": campaign_id})
-
-
-def cancel_campaign(campaign_id: str) -> Request[CampaignView]:
-    """Ends a campaign and its jobs."""
-    return Request("POST", "/v1/campaigns/{campaign_id}/cancel", CampaignView, {"campaign_id": campaign_id})
-
-
-def list_campaign_views(campaign_id: str) -> Request[ViewList]:
-    """The views of a campaign with the networks' first answers, and why some are not attacked."""
-    return Request("GET", "/v1/campaigns/{campaign_id}/views", ViewList, {"campaign_id": campaign_id})
+get_campaign = _of_campaign("GET", "", CampaignView)
+"""One campaign, with its request, progress and outcomes."""
+pause_campaign = _of_campaign("POST", "/pause", CampaignView)
+"""Holds a campaign's queued jobs back."""
+resume_campaign = _of_campaign("POST", "/resume", CampaignView)
+"""Lets a paused campaign go on."""
+cancel_campaign = _of_campaign("POST", "/cancel", CampaignView)
+"""Ends a campaign and its jobs."""
+list_campaign_views = _of_campaign("GET", "/views", ViewList)
+"""The views of a campaign with the networks' first answers, and why some are not attacked."""
 
 
 def list_campaign_jobs(
@@ -304,39 +296,20 @@ def list_campaign_jobs(
     return Request("GET", "/v1/campaigns/{campaign_id}/jobs", CampaignJobPage, path, params)
 
 
-def get_campaign_table(campaign_id: str) -> Request[CampaignResult]:
-    """The table, the mean curves and the views of a campaign."""
-    return Request("GET", "/v1/campaigns/{campaign_id}/table.json", CampaignResult, {"campaign_id": campaign_id})
-
-
-def get_campaign_table_csv(campaign_id: str) -> Request[str]:
-    """The table of a campaign as CSV."""
-    return Request("GET", "/v1/campaigns/{campaign_id}/table.csv", str, {"campaign_id": campaign_id})
-
-
-def get_campaign_table_latex(campaign_id: str) -> Request[str]:
-    """The table of a campaign as LaTeX."""
-    return Request("GET", "/v1/campaigns/{campaign_id}/table.tex", str, {"campaign_id": campaign_id})
-
-
-def get_campaign_cases_csv(campaign_id: str) -> Request[str]:
-    """The jobs of a campaign that have ended, as CSV."""
-    return Request("GET", "/v1/campaigns/{campaign_id}/cases.csv", str, {"campaign_id": campaign_id})
-
-
-def list_assets() -> Request[AssetList]:
-    """The meshes that were uploaded."""
-    return Request("GET", "/v1/assets", AssetList)
-
-
-def get_asset(name: str) -> Request[Uploaded]:
-    """An uploaded mesh or environment map by its name, "sha256:" and 64 digits."""
-    return Request("GET", "/v1/assets/{sha256}", Uploaded, {"sha256": name.removeprefix("sha256:")})
-
-
-def download_thumbnail(name: str) -> Request[bytes]:
-    """The picture of an upload, a PNG image."""
-    return Request("GET", "/v1/assets/{sha256}/thumbnail", bytes, {"sha256": name.removeprefix("sha256:")})
+get_campaign_table = _of_campaign("GET", "/table.json", CampaignResult)
+"""The table, the mean curves and the views of a campaign."""
+get_campaign_table_csv = _of_campaign("GET", "/table.csv", str)
+"""The table of a campaign as CSV."""
+get_campaign_table_latex = _of_campaign("GET", "/table.tex", str)
+"""The table of a campaign as LaTeX."""
+get_campaign_cases_csv = _of_campaign("GET", "/cases.csv", str)
+"""The jobs of a campaign that have ended, as CSV."""
+list_assets = _of_service("/v1/assets", AssetList)
+"""The meshes that were uploaded."""
+get_asset = _of_asset("GET", "", Uploaded)
+"""An uploaded mesh or environment map by its name, "sha256:" and 64 digits."""
+download_thumbnail = _of_asset("GET", "/thumbnail", bytes)
+"""The picture of an upload, a PNG image."""
 
 
 def upload_asset(
@@ -363,9 +336,8 @@ def upload_asset(
     return Request("POST", "/v1/assets", Uploaded, files=sent, form=form, seconds=CHECK_SECONDS)
 
 
-def delete_asset(name: str) -> Request[None]:
-    """Deletes an uploaded mesh by its name, "sha256:" and 64 digits."""
-    return Request("DELETE", "/v1/assets/{sha256}", type(None), {"sha256": name.removeprefix("sha256:")})
+delete_asset = _of_asset("DELETE", "", type(None))
+"""Deletes an uploaded mesh by its name, "sha256:" and 64 digits."""
 
 
 def get_scene_library(
@@ -376,21 +348,11 @@ def get_scene_library(
     return Request("GET", "/v1/scenes", SceneLibrary, params=params)
 
 
-def list_targets() -> Request[TargetList]:
-    """The networks that can be attacked."""
-    return Request("GET", "/v1/targets", TargetList)
-
-
-def get_health() -> Request[Health]:
-    """Whether the process answers."""
-    return Request("GET", "/healthz", Health)
-
-
-def get_readiness() -> Request[Readiness]:
-    """Whether the service can take jobs and run them; ApiError with status 503 if it cannot."""
-    return Request("GET", "/readyz", Readiness)
-
-
-def get_metrics() -> Request[str]:
-    """The metrics, in Prometheus' text format."""
-    return Request("GET", "/metrics", str)
+list_targets = _of_service("/v1/targets", TargetList)
+"""The networks that can be attacked."""
+get_health = _of_service("/healthz", Health)
+"""Whether the process answers."""
+get_readiness = _of_service("/readyz", Readiness)
+"""Whether the service can take jobs and run them; ApiError with status 503 if it cannot."""
+get_metrics = _of_service("/metrics", str)
+"""The metrics, in Prometheus' text format."""
