@@ -12,8 +12,9 @@ from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import Headers
 from starlette.requests import cookie_parser
 from starlette.responses import RedirectResponse, Response
-from starlette.types import ASGIApp, Receive, Scope, Send
+from starlette.types import Receive, Scope, Send
 
+from api.asgi import HttpMiddleware
 from api.problems import problem
 from api.requests import Services
 from services.access.caller import KEYLESS, Caller
@@ -56,16 +57,11 @@ _HOW = {"WWW-Authenticate": "Bearer"}
 log = logger(__name__)
 
 
-class Authentication:
+class Authentication(HttpMiddleware):
     """Answers 401 without a valid key, and 403 if its scopes do not allow the route; else it passes the caller on."""
 
-    def __init__(self, app: ASGIApp) -> None:
-        self.app = app
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """ASGI."""
-        if scope["type"] != "http":
-            return await self.app(scope, receive, send)
+    async def answer(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answers what is refused."""
         needed = scope_of(scope["method"], scope["path"])
         refusal = None
         scope.setdefault("state", {})["caller"] = None
@@ -80,9 +76,7 @@ class Authentication:
             if needed is not None:
                 log.warning("keys out of reach", error=str(error))
                 refusal = problem(503, "the database does not answer; try again later", headers={"Retry-After": "5"})
-        if refusal is not None:
-            return await refusal(scope, receive, send)
-        return await self.app(scope, receive, send)
+        await (refusal or self.app)(scope, receive, send)
 
 
 def _caller(services: Services, scope: Scope) -> Caller | None:

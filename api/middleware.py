@@ -33,6 +33,7 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from api.asgi import HttpMiddleware
 from api.authentication import asks_for_html
 from api.dashboard.pages import html
 from api.problems import MEDIA_TYPE, REQUEST_ID, BadRequestField, http_problem, invalid, problem
@@ -45,28 +46,21 @@ from services.logs import logger
 _SANE = re.compile(r"[A-Za-z0-9._:-]{1,128}")
 
 
-class RequestId:
+class RequestId(HttpMiddleware):
     """Takes the id from the client or from a proxy if it is plain text, and makes one otherwise."""
 
-    def __init__(self, app: ASGIApp) -> None:
-        self.app = app
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """ASGI."""
-        if scope["type"] != "http":
-            return await self.app(scope, receive, send)
+    async def answer(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Gives the request its id."""
         sent = Headers(scope=scope).get(REQUEST_ID, "")
-        request_id = scope["request_id"] = sent if _SANE.fullmatch(sent) else uuid4().hex
+        scope["request_id"] = sent if _SANE.fullmatch(sent) else uuid4().hex
         # The server runs each request in a task of its own, so this ends with the request.
         structlog.contextvars.clear_contextvars()
-        structlog.contextvars.bind_contextvars(request=request_id)
+        structlog.contextvars.bind_contextvars(request=scope["request_id"])
+        await super().answer(scope, receive, send)
 
-        async def named(message: Message) -> None:
-            if message["type"] == "http.response.start":
-                MutableHeaders(raw=message["headers"])[REQUEST_ID] = request_id
-            await send(message)
-
-        return await self.app(scope, receive, named)
+    def begin(self, scope: Scope, start: Message) -> None:
+        """Sends the id."""
+        MutableHeaders(raw=start["headers"])[REQUEST_ID] = scope["request_id"]
 
 
 METHODS = ("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS")
@@ -95,38 +89,29 @@ class RequestMetrics:
         )
 
 
-class Measured:
+class Measured(HttpMiddleware):
     """Counts requests by the template of their route, and measures the time to the beginning of the answer."""
 
     def __init__(self, app: ASGIApp, metrics: RequestMetrics) -> None:
         self.app = app
         self.metrics = metrics
 
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """ASGI."""
-        if scope["type"] != "http":
-            return await self.app(scope, receive, send)
-        began, answered = time.perf_counter(), False
-
-        def count(status: int) -> None:
-            nonlocal answered
-            answered = True
-            method = scope["method"] if scope["method"] in METHODS else "other"
-            route = _template(scope)
-            self.metrics.requests.labels(method, route, str(status)).inc()
-            self.metrics.seconds.labels(method, route).observe(time.perf_counter() - began)
-
-        async def counted(message: Message) -> None:
-            if message["type"] == "http.response.start":
-                count(message["status"])
-            await send(message)
-
+    async def answer(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Measures the time."""
+        scope["began"] = time.perf_counter()
         try:
-            return await self.app(scope, receive, counted)
+            await super().answer(scope, receive, send)
         except BaseException:
-            if not answered:  # the framework answers outside of this
-                count(500)
+            if "began" in scope:  # nothing was answered: the framework does so outside of this
+                self.begin(scope, {"status": 500})
             raise
+
+    def begin(self, scope: Scope, start: Message) -> None:
+        """Counts the answer."""
+        method = scope["method"] if scope["method"] in METHODS else "other"
+        route = _template(scope)
+        self.metrics.requests.labels(method, route, str(start["status"])).inc()
+        self.metrics.seconds.labels(method, route).observe(time.perf_counter() - scope.pop("began"))
 
 
 def _template(scope: Scope) -> str:
@@ -140,15 +125,12 @@ _KEPT = (b"etag", b"cache-control", b"x-content-type-options", b"content-securit
 """Headers of an answer that 304 has, too."""
 
 
-class Conditional:
+class Conditional(HttpMiddleware):
     """Adds an ETag to the answers of GET that are JSON, and answers 304 where `If-None-Match` has it."""
 
-    def __init__(self, app: ASGIApp) -> None:
-        self.app = app
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """ASGI."""
-        if scope["type"] != "http" or scope["method"] != "GET":
+    async def answer(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answers 304 or with an ETag."""
+        if scope["method"] != "GET":
             return await self.app(scope, receive, send)
         client_etags = Headers(scope=scope).get("if-none-match")
         start: Message | None = None
@@ -218,15 +200,12 @@ _OF_PROGRAMS = re.compile(r"/(?:v1|metrics|healthz|readyz|openapi\.json)(?:/|$)"
 """The beginning of paths that are no pages."""
 
 
-class ErrorPages:
+class ErrorPages(HttpMiddleware):
     """Turns problem documents into pages, for a browser that asks for HTML and outside the API."""
 
-    def __init__(self, app: ASGIApp) -> None:
-        self.app = app
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """ASGI."""
-        if scope["type"] != "http" or _OF_PROGRAMS.match(scope["path"]):
+    async def answer(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Lets the app answer; a page takes the place of its problem document."""
+        if _OF_PROGRAMS.match(scope["path"]):
             return await self.app(scope, receive, send)
         is_browser = _is_for_a_person(scope)
 
@@ -273,28 +252,21 @@ def _page(scope: Scope, status: int, headers: list[tuple[bytes, bytes]], documen
     return page
 
 
-class Answers:
+class Answers(HttpMiddleware):
     """Turns the plain-text errors of the framework's parts, e.g. for ranges, into problem documents.
 
     It also adds headers to every response by which browsers guess no media type, and load nothing for what is no page.
     """
 
-    def __init__(self, app: ASGIApp) -> None:
-        self.app = app
+    async def answer(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Lets the app answer; a problem document takes the place of its plain error."""
+        await _replace(self.app, scope, receive, self.beginning(scope, send), _is_plain_error, _as_problem)
 
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """ASGI."""
-        if scope["type"] != "http":
-            return await self.app(scope, receive, send)
-
-        async def guarded(message: Message) -> None:
-            if message["type"] == "http.response.start":
-                headers = MutableHeaders(raw=message["headers"])
-                headers["x-content-type-options"] = "nosniff"
-                headers.setdefault("content-security-policy", "default-src 'none'; frame-ancestors 'none'")
-            await send(message)
-
-        return await _replace(self.app, scope, receive, guarded, _is_plain_error, _as_problem)
+    def begin(self, scope: Scope, start: Message) -> None:  # noqa: ARG002 - the same for all requests
+        """Adds the headers."""
+        headers = MutableHeaders(raw=start["headers"])
+        headers["x-content-type-options"] = "nosniff"
+        headers.setdefault("content-security-policy", "default-src 'none'; frame-ancestors 'none'")
 
 
 def _as_problem(start: Message, text: bytes) -> Response:
@@ -321,7 +293,7 @@ MAX_LOGGED = 200
 log = logger("audit")
 
 
-class Audit:
+class Audit(HttpMiddleware):
     """Logs every request that is no mere reading, and every one that is refused at the door.
 
     The line has the prefix of the key, its owner, the client's address, the route, the object (the path, or the place
@@ -329,58 +301,39 @@ class Audit:
     it.
     """
 
-    def __init__(self, app: ASGIApp) -> None:
-        self.app = app
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """ASGI."""
-        if scope["type"] != "http":
-            return await self.app(scope, receive, send)
-
-        async def audited(message: Message) -> None:
-            if message["type"] == "http.response.start":
-                _record(scope, message)
-            await send(message)
-
-        return await self.app(scope, receive, audited)
-
-
-def _record(scope: Scope, answer: Message) -> None:
-    status = answer["status"]
-    if scope["method"] in READS and status not in REFUSED:
-        return
-    caller = scope.get("state", {}).get("caller")
-    who = {"key": caller.key, "owner": caller.owner} if isinstance(caller, Caller) else {"key": None, "owner": None}
-    location = Headers(raw=answer["headers"]).get("location", "") if status in (201, 202) else ""
-    log.info(
-        "audit",
-        **who,
-        client=scope["client"][0] if scope["client"] else None,
-        route=f"{scope['method'][:20]} {_template(scope)}",
-        object=(location or scope["path"])[:MAX_LOGGED],
-        status=status,
-    )
+    def begin(self, scope: Scope, start: Message) -> None:
+        """Logs the line."""
+        status = start["status"]
+        if scope["method"] in READS and status not in REFUSED:
+            return
+        caller = scope.get("state", {}).get("caller")
+        who = {"key": caller.key, "owner": caller.owner} if isinstance(caller, Caller) else {"key": None, "owner": None}
+        location = Headers(raw=start["headers"]).get("location", "") if status in (201, 202) else ""
+        log.info(
+            "audit",
+            **who,
+            client=scope["client"][0] if scope["client"] else None,
+            route=f"{scope['method'][:20]} {_template(scope)}",
+            object=(location or scope["path"])[:MAX_LOGGED],
+            status=status,
+        )
 
 
 Check = Callable[[Scope], Response | None]
 """Returns the answer to a request that is refused, and None for any other."""
 
 
-class Refuse:
+class Refuse(HttpMiddleware):
     """Answers a request by the first of `checks` that refuses it."""
 
     def __init__(self, app: ASGIApp, checks: Sequence[Check]) -> None:
         self.app = app
         self.checks = checks
 
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """ASGI."""
-        if scope["type"] == "http":
-            for check in self.checks:
-                refusal = check(scope)
-                if refusal is not None:
-                    return await refusal(scope, receive, send)
-        return await self.app(scope, receive, send)
+    async def answer(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answers by the first refusal, if there is one."""
+        refusals = (refusal for check in self.checks if (refusal := check(scope)) is not None)
+        await next(refusals, self.app)(scope, receive, send)
 
 
 _HOST = re.compile(r"(?:\[([0-9A-Fa-f:.]*:[0-9A-Fa-f:.]*)\]|([A-Za-z0-9._~-]+))(?::[0-9]{0,5})?")
@@ -440,7 +393,7 @@ DRAIN = 4
 connection is closed on a larger body."""
 
 
-class BodyLimit:
+class BodyLimit(HttpMiddleware):
     """Answers 413 for bodies over the limit of their path, and reads no more than the limit into memory.
 
     `uploads` maps a path to the largest size of its file in bytes. There a body that is too large is answered by 422
@@ -451,10 +404,8 @@ class BodyLimit:
         self.app = app
         self.uploads = uploads
 
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """ASGI."""
-        if scope["type"] != "http":
-            return await self.app(scope, receive, send)
+    async def answer(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Reads no more of the body than its limit."""
         upload = self.uploads.get(scope["path"])
         most = FORM_BYTES if _form_of(scope) is not None else JSON_BYTES
         limit = most if upload is None else upload + FORM_BYTES
