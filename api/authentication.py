@@ -15,7 +15,7 @@ from starlette.responses import RedirectResponse, Response
 from starlette.types import Receive, Scope, Send
 
 from api.asgi import HttpMiddleware
-from api.problems import problem
+from api.problems import asks_for_html, problem
 from api.requests import Services
 from services.access.caller import KEYLESS, Caller
 from services.access.caller import Scope as AccessScope
@@ -38,16 +38,6 @@ def scope_of(method: str, path: str) -> AccessScope | None:
         return AccessScope.METRICS_READ if path == "/metrics" else AccessScope.JOBS_READ
     is_upload = re.match(r"(?:/v1)?/assets(?:/|$)", path) is not None
     return AccessScope.ASSETS_WRITE if is_upload else AccessScope.JOBS_WRITE
-
-
-_HTML = re.compile(r"(?:^|,)\s*text/html\s*(?:;(?!\s*q=0(?:\.0*)?\s*(?:,|$))[^,]*)?(?:,|$)", re.IGNORECASE)
-
-
-def asks_for_html(scope: Scope) -> bool:
-    """Whether the request's Accept header has HTML by its name, as a browser's has. A program that takes anything does
-    not ask for it.
-    """
-    return _HTML.search(Headers(scope=scope).get("accept", "")) is not None
 
 
 SIGN_IN = "/sign-in"

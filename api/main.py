@@ -6,6 +6,7 @@ import socket
 import sys
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
+from functools import partial
 from importlib.metadata import version
 
 import uvicorn
@@ -19,13 +20,13 @@ from starlette.middleware.gzip import DEFAULT_EXCLUDED_CONTENT_TYPES, GZipMiddle
 from api import dashboard
 from api.authentication import Authentication
 from api.dashboard.assets import ASSETS_PATH
+from api.dashboard.pages import html
 from api.description import TAGS, describe
 from api.middleware import (
     Answers,
     Audit,
     BodyLimit,
     Conditional,
-    ErrorPages,
     Measured,
     Refuse,
     RequestId,
@@ -33,7 +34,6 @@ from api.middleware import (
     known_hosts,
     no_nul,
     same_site,
-    show_mistakes,
     utf8_form,
 )
 from api.problems import install
@@ -163,7 +163,6 @@ def create_app(values: Settings) -> FastAPI:
                 exclude_content_types=(*DEFAULT_EXCLUDED_CONTENT_TYPES, *_PACKED),
             ),
             Middleware(Conditional),
-            Middleware(ErrorPages),
             Middleware(Answers),
             Middleware(Audit),
             Middleware(Refuse, checks=(known_hosts(values.own_hosts), same_site)),
@@ -175,8 +174,7 @@ def create_app(values: Settings) -> FastAPI:
     for part in (job_exports, jobs, campaigns, artifacts, rerenderings, assets, service, dashboard):
         app.include_router(part.router)
     app.state.metrics = metrics
-    install(app)
-    show_mistakes(app)
+    install(app, partial(html, "error.html"))
     describe(app)
     return app
 

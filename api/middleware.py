@@ -1,8 +1,7 @@
 """Middleware that each request passes before it is parsed, from the outermost.
 
 - `RequestId` gives it an id, and `Measured` counts it for the metrics.
-- `Conditional` answers 304, `ErrorPages` shows a person errors as pages, and `Answers` makes problem documents of what
-  the framework says in plain text.
+- `Conditional` answers 304, and `Answers` makes problem documents of what the framework says in plain text.
 - `Audit` logs who changed what and who was refused.
 - `Refuse` has checks. `known_hosts` and `same_site` protect the service from web sites that its users visit;
   `utf8_form` and `no_nul` refuse forms in other encodings than UTF-8, and paths with a character that no text has.
@@ -14,7 +13,6 @@ is on this machine, or has a session here, send requests. A browser says where a
 Origin); other programs do not.
 """
 
-import json
 import re
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -25,7 +23,7 @@ from uuid import uuid4
 
 import prometheus_client
 import structlog
-from fastapi import FastAPI, Request, Response
+from fastapi import Response
 from prometheus_client import CollectorRegistry, Histogram, ProcessCollector
 from python_multipart.multipart import parse_options_header
 from starlette.concurrency import run_in_threadpool
@@ -34,9 +32,7 @@ from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from api.asgi import HttpMiddleware
-from api.authentication import asks_for_html
-from api.dashboard.pages import html
-from api.problems import MEDIA_TYPE, REQUEST_ID, BadRequestField, http_problem, invalid, problem
+from api.problems import REQUEST_ID, BadRequestField, http_problem, invalid, problem
 from api.requests import matches
 from services.access.caller import Caller
 from services.addresses import is_loopback
@@ -170,88 +166,6 @@ def _is_json(message: Message) -> bool:
     return bool(message["status"] == 200 and plain and "etag" not in headers)
 
 
-async def _replace(
-    app: ASGIApp,
-    scope: Scope,
-    receive: Receive,
-    send: Send,
-    is_wanted: Callable[[Message], bool],
-    replacement: Callable[[Message, bytes], Response],
-) -> None:
-    """Lets an app answer. Where the start of its answer is wanted, sends what is made of it and of the whole body."""
-    start: Message | None = None
-    body = b""
-
-    async def held(message: Message) -> None:
-        nonlocal start, body
-        if message["type"] == "http.response.start" and is_wanted(message):
-            start = message
-        elif start is None:
-            await send(message)
-        else:
-            body += message.get("body", b"")
-            if not message.get("more_body", False):
-                await replacement(start, body)(scope, receive, send)
-
-    await app(scope, receive, held)
-
-
-_OF_PROGRAMS = re.compile(r"/(?:v1|metrics|healthz|readyz|openapi\.json)(?:/|$)")
-"""The beginning of paths that are no pages."""
-
-
-class ErrorPages(HttpMiddleware):
-    """Turns problem documents into pages, for a browser that asks for HTML and outside the API."""
-
-    async def answer(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Lets the app answer; a page takes the place of its problem document."""
-        if _OF_PROGRAMS.match(scope["path"]):
-            return await self.app(scope, receive, send)
-        is_browser = _is_for_a_person(scope)
-
-        def is_for_a_person(start: Message) -> bool:
-            if not Headers(raw=start["headers"]).get("content-type", "").startswith(MEDIA_TYPE):
-                return False
-            MutableHeaders(raw=start["headers"]).add_vary_header("Accept")
-            return is_browser
-
-        def page(start: Message, document: bytes) -> Response:
-            return _page(scope, start["status"], start["headers"], document)
-
-        return await _replace(self.app, scope, receive, send, is_for_a_person, page)
-
-
-def show_mistakes(app: FastAPI) -> None:
-    """Shows a person the page of an exception that nothing caught. The framework answers it outside of all middleware,
-    by the handler that is installed for it."""
-    document = app.exception_handlers[Exception]
-
-    def shown(request: Request, error: Exception) -> Response:
-        answer = document(request, error)
-        assert isinstance(answer, Response)
-        if not _is_for_a_person(request.scope):
-            return answer
-        return _page(request.scope, answer.status_code, answer.raw_headers, bytes(answer.body))
-
-    app.add_exception_handler(Exception, shown)
-
-
-def _is_for_a_person(scope: Scope) -> bool:
-    return not _OF_PROGRAMS.match(scope["path"]) and asks_for_html(scope)
-
-
-def _page(scope: Scope, status: int, headers: list[tuple[bytes, bytes]], document: bytes) -> Response:
-    """The page of a problem, with the problem's status and the headers that are not about its body."""
-    detail = json.loads(document)["detail"] if document else ""
-    page = html(
-        "error.html", status, scope.get("state", {}).get("caller"), title=HTTPStatus(status).phrase, detail=detail
-    )
-    for name, value in Headers(raw=headers).items():
-        if not name.startswith("content-"):
-            page.headers.setdefault(name, value)
-    return page
-
-
 class Answers(HttpMiddleware):
     """Turns the plain-text errors of the framework's parts, e.g. for ranges, into problem documents.
 
@@ -260,7 +174,20 @@ class Answers(HttpMiddleware):
 
     async def answer(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Lets the app answer; a problem document takes the place of its plain error."""
-        await _replace(self.app, scope, receive, self.beginning(scope, send), _is_plain_error, _as_problem)
+        guarded, start, text = self.beginning(scope, send), None, b""
+
+        async def held(message: Message) -> None:
+            nonlocal start, text
+            if message["type"] == "http.response.start" and _is_plain_error(message):
+                start = message
+            elif start is None:
+                await guarded(message)
+            else:
+                text += message.get("body", b"")
+                if not message.get("more_body", False):
+                    await _as_problem(start, text)(scope, receive, guarded)
+
+        await self.app(scope, receive, held)
 
     def begin(self, scope: Scope, start: Message) -> None:  # noqa: ARG002 - the same for all requests
         """Adds the headers."""

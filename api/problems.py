@@ -1,5 +1,6 @@
 """Turns every error of the API into `application/problem+json` (RFC 9457)."""
 
+import re
 from collections.abc import Callable, Sequence
 from http import HTTPStatus
 from json import JSONDecodeError
@@ -11,11 +12,12 @@ from pydantic import BaseModel, ConfigDict, Field
 from pydantic.config import JsonDict
 from redis.exceptions import RedisError
 from sqlalchemy.exc import SQLAlchemyError
-from starlette.datastructures import UploadFile
+from starlette.datastructures import Headers, UploadFile
 from starlette.exceptions import HTTPException
 from starlette.formparsers import MultiPartException
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Match
+from starlette.types import ASGIApp, Receive, Scope, Send
 
 from api.schemas import BadField
 from api.warm_pool import Unavailable
@@ -67,7 +69,46 @@ class ProblemDetails(BaseModel):
     errors: list[BadField] = Field([], description="the invalid fields, if the request has any")
 
 
-def problem(status: int, detail: str, errors: Sequence[InvalidRequest] = (), headers: Any = None) -> JSONResponse:
+_HTML = re.compile(r"(?:^|,)\s*text/html\s*(?:;(?!\s*q=0(?:\.0*)?\s*(?:,|$))[^,]*)?(?:,|$)", re.IGNORECASE)
+
+
+def asks_for_html(scope: Scope) -> bool:
+    """Whether the request's Accept header has HTML by its name, as a browser's has. A program that takes anything does
+    not ask for it.
+    """
+    return _HTML.search(Headers(scope=scope).get("accept", "")) is not None
+
+
+_OF_PROGRAMS = re.compile(r"/(?:v1|metrics|healthz|readyz|openapi\.json)(?:/|$)")
+"""The beginning of paths that are no pages."""
+
+
+class ProblemResponse(JSONResponse):
+    """A problem document. A browser that asks for HTML gets a page that says the same, outside the API."""
+
+    def __init__(self, document: ProblemDetails, headers: Any) -> None:
+        super().__init__(document.model_dump(), document.status, headers, MEDIA_TYPE)
+        self._document = document
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """ASGI."""
+        answer: ASGIApp = super().__call__
+        if not _OF_PROGRAMS.match(scope["path"]):
+            self.headers.add_vary_header("Accept")
+            answer = self._page(scope) if asks_for_html(scope) else answer
+        await answer(scope, receive, send)
+
+    def _page(self, scope: Scope) -> Response:
+        """The page, with the headers that are not about its body."""
+        about, caller = self._document, scope.get("state", {}).get("caller")
+        page: Response = scope["app"].state.error_page(about.status, caller, title=about.title, detail=about.detail)
+        for name, value in self.headers.items():
+            if not name.startswith("content-"):
+                page.headers.setdefault(name, value)
+        return page
+
+
+def problem(status: int, detail: str, errors: Sequence[InvalidRequest] = (), headers: Any = None) -> Response:
     """A response with a problem document; `errors` are its invalid fields, `headers` are added to the response."""
     body = ProblemDetails(
         title=HTTPStatus(status).phrase,
@@ -75,10 +116,10 @@ def problem(status: int, detail: str, errors: Sequence[InvalidRequest] = (), hea
         detail=without_folders(detail)[:MAX_DETAIL],
         errors=[BadField(field=error.field, detail=without_folders(error.detail)) for error in errors],
     )
-    return JSONResponse(body.model_dump(), status, headers, MEDIA_TYPE)
+    return ProblemResponse(body, headers)
 
 
-def invalid(errors: Sequence[InvalidRequest]) -> JSONResponse:
+def invalid(errors: Sequence[InvalidRequest]) -> Response:
     """A 422 response for these invalid fields."""
     return problem(422, "; ".join(str(error) for error in errors[:3]), errors)
 
@@ -99,12 +140,27 @@ def http_problem(error: HTTPException) -> Response:
     return problem(error.status_code, str(error.detail), errors, error.headers)
 
 
-def install(app: FastAPI) -> None:
-    """Installs handlers on the app that answer every error by a problem document."""
+_LATER = {"Retry-After": "5"}
+_REUSED = InvalidRequest("Idempotency-Key", "this key was used for a different request; take a new one")
+_ANSWERS: dict[type[Exception], Callable[[Any], Response]] = {
+    InvalidRequest: lambda error: invalid(error.every),
+    QueueFull: lambda _: problem(503, "as many jobs are queued as this service takes; try again later", headers=_LATER),
+    QuotaExceeded: lambda error: problem(429, str(error), headers={"Retry-After": f"{error.seconds:.0f}"}),
+    InUse: lambda error: problem(409, str(error)),
+    KeyReused: lambda _: invalid([_REUSED]),
+    Unavailable: lambda error: problem(503, str(error), headers=_LATER),
+}
+"""The answer to each error that tells a client what to do."""
 
-    @app.exception_handler(InvalidRequest)
-    def _invalid(_: Request, error: InvalidRequest) -> Response:
-        return invalid(error.every)
+
+def install(app: FastAPI, error_page: Callable[..., Response]) -> None:
+    """Installs handlers on the app that answer every error by a problem document, or by a page made of its status, the
+    caller, its title and its detail.
+    """
+    app.state.error_page = error_page
+
+    for kind, answer in _ANSWERS.items():
+        app.add_exception_handler(kind, lambda _, error, answer=answer: answer(error))
 
     @app.exception_handler(RequestValidationError)
     def _unparsed(request: Request, error: RequestValidationError) -> Response:
@@ -129,27 +185,6 @@ def install(app: FastAPI) -> None:
         if isinstance(error.__context__, MultiPartException):
             return problem(400, f"the body cannot be read as a form: {error.detail}")
         return http_problem(error)
-
-    @app.exception_handler(QueueFull)
-    def _full(_: Request, _error: QueueFull) -> Response:
-        return problem(503, "as many jobs are queued as this service takes; try again later", headers=_LATER)
-
-    @app.exception_handler(QuotaExceeded)
-    def _over_quota(_: Request, error: QuotaExceeded) -> Response:
-        return problem(429, str(error), headers={"Retry-After": f"{error.seconds:.0f}"})
-
-    @app.exception_handler(InUse)
-    def _in_use(_: Request, error: InUse) -> Response:
-        return problem(409, str(error))
-
-    @app.exception_handler(KeyReused)
-    def _reused(_: Request, _error: KeyReused) -> Response:
-        detail = "this key was used for a different request; take a new one"
-        return invalid([InvalidRequest("Idempotency-Key", detail)])
-
-    @app.exception_handler(Unavailable)
-    def _unavailable(_: Request, error: Unavailable) -> Response:
-        return problem(503, str(error), headers=_LATER)
 
     @app.exception_handler(SQLAlchemyError)
     @app.exception_handler(RedisError)
@@ -206,6 +241,3 @@ def _allowed(app: FastAPI, path: str) -> list[str]:
         for method in _METHODS
         if any(route.matches(asked | {"method": method})[0] is Match.FULL for route in app.router.routes)
     ]
-
-
-_LATER = {"Retry-After": "5"}

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from services.extensions import Extension
     from services.jobs.campaigns import Counts, Progress
     from services.jobs.job_list import ListedJob
-    from services.jobs.models import Artifact, Campaign, CampaignJob, Job
+    from services.jobs.models import Campaign, CampaignJob, Job
     from services.pipeline.extensions import TargetFolder
 
 
@@ -191,11 +191,6 @@ class ArtifactView(BaseModel):
     sha256: str = Field(description="SHA-256 of the file's bytes, which is also its ETag")
     media_type: str
     size: int = Field(description="bytes")
-
-    @classmethod
-    def of(cls, artifact: "Artifact") -> Self:
-        """The view of an artifact in the database."""
-        return cls(name=artifact.name, sha256=artifact.sha256, media_type=artifact.media_type, size=artifact.size)
 
 
 class ArtifactList(BaseModel):

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from io import BufferedReader
 from pathlib import Path
 from tempfile import mkstemp
-from typing import Any, Protocol
+from typing import Any
 
 from fastapi import HTTPException
 
@@ -47,15 +47,6 @@ class TooSlow(Exception):
 
 class NoneFree(Exception):
     """No process was free in time."""
-
-
-class Process(Protocol):
-    """The part of `WarmProcess` that the pool uses."""
-
-    async def start(self) -> None: ...  # noqa: D102
-    async def ask(self, message: dict[str, Any], seconds: float) -> Answer: ...  # noqa: D102
-    def alive(self) -> bool: ...  # noqa: D102
-    def close(self) -> None: ...  # noqa: D102
 
 
 class WarmProcess:
@@ -185,11 +176,11 @@ class Turns:
 class WarmPool:
     """The two processes, and the requests that wait for them, in the order in which they came."""
 
-    def __init__(self, processes: Sequence[Process]) -> None:
+    def __init__(self, processes: Sequence[WarmProcess]) -> None:
         self._processes = processes
         self._started = 0
         self._up = [asyncio.Event() for _ in processes]
-        self._idle: asyncio.Queue[Process] = asyncio.Queue()
+        self._idle: asyncio.Queue[WarmProcess] = asyncio.Queue()
         self._long = asyncio.Lock()
         self._turns = Turns(1, MOST_OPEN)
         self._tasks: set[asyncio.Task[Any]] = set()
@@ -249,7 +240,7 @@ class WarmPool:
         except TimeoutError as error:
             raise Unavailable("the processes that check requests do not start; the service's log says why") from error
 
-    async def _free(self) -> Process:
+    async def _free(self) -> WarmProcess:
         """An idle process. One that has died meanwhile is started again, and this waits for that one or another."""
         while True:
             process = self._idle.get_nowait() if not self._idle.empty() else await self._idle.get()
@@ -258,7 +249,7 @@ class WarmPool:
             self._in_background(self._join(process))
 
     async def _run(
-        self, process: Process, message: dict[str, Any], seconds: float, done: Callable[[], None] | None = None
+        self, process: WarmProcess, message: dict[str, Any], seconds: float, done: Callable[[], None] | None = None
     ) -> Answer:
         """Returns a process's answer. It works to the end if this is cancelled: starting it again would take longer."""
 
@@ -275,7 +266,7 @@ class WarmPool:
 
         return await asyncio.shield(self._in_background(run()))
 
-    async def _join(self, process: Process, up: asyncio.Event | None = None) -> None:
+    async def _join(self, process: WarmProcess, up: asyncio.Event | None = None) -> None:
         with suppress(Unavailable):  # the next request tries again, and says if it cannot
             await process.start()
         self._idle.put_nowait(process)

@@ -99,3 +99,8 @@ def there_are(name: str, known: Iterable[str]) -> str:
 def signed(value: float, form: str) -> str:
     """A number with its sign in a format such as ".3f" or ".3g": "+0.120", "-3.4". A zero has no minus."""
     return f"{value:+z{form}}"
+
+
+def small(value: float | str) -> str:
+    """An error or a tolerance, e.g. "8.0e-04" or "0"; the tolerance "exact" stays as it is."""
+    return value if isinstance(value, str) else f"{value:.1e}" if value else "0"

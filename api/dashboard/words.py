@@ -8,6 +8,7 @@ from typing import Any
 from services.attacks.outcome import WRONG_BEFORE as WRONG_BEFORE
 from services.attacks.outcome import held_within as held_within
 from services.text import signed
+from services.text import small as small
 
 FAILURES = {
     "non-finite": "An image, loss or gradient was not a number, so the attack could not go on.",
@@ -75,11 +76,6 @@ def strongest_interaction(attribution: Mapping[str, Any], part: int) -> str:
         return ""
     other = max((j for j in range(len(matrix)) if j != part), key=lambda j: abs(matrix[part][j]))
     return f"{signed(matrix[part][other], '.3f')} with {attribution['parts'][other]}"
-
-
-def small(value: float | str) -> str:
-    """An error or a tolerance, e.g. "8.0e-04" or "0"; the tolerance "exact" stays as it is."""
-    return value if isinstance(value, str) else f"{value:.1e}" if value else "0"
 
 
 def percent(value: float) -> str:

@@ -14,7 +14,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.types import Receive, Scope, Send
 
 from api.requests import Client, KnownJob, Services, ServicesDependency, matches, no_such, while_connected
-from api.schemas import ArtifactList, ArtifactView
+from api.schemas import ArtifactList
 from services.export import BUNDLE
 from services.jobs.models import Job
 
@@ -49,7 +49,7 @@ class VerifiedFile(FileResponse):
 @router.get("/{job_id}/artifacts")
 def list_artifacts(job: KnownJob, services: ServicesDependency) -> ArtifactList:
     """Lists the files of a job; of one that has not ended the list is empty but for a checkpoint to go on from."""
-    return ArtifactList(items=[ArtifactView.of(artifact) for artifact in services.record.jobs.artifacts(job.id)])
+    return ArtifactList.model_validate({"items": services.record.jobs.artifacts(job.id)}, from_attributes=True)
 
 
 @router.head(
