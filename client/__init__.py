@@ -9,6 +9,8 @@ if TYPE_CHECKING:
 
 __all__ = ["ApiError", "AsyncClient", "AsyncJob", "Client", "Job", "Unfinished", "attack", "images"]
 
+DEFAULT_URL = "http://127.0.0.1:8008"
+"""The service of this machine."""
 _MODULES = {"ApiError": "errors", "Unfinished": "errors", "attack": "in_process"}
 """The module of each name; all others are in `client.client`."""
 

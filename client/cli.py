@@ -35,17 +35,14 @@ def _root(
     pass
 
 
-run.register(app)
-analyse.register(app)
-export.register(app)
-jobs.register(app)
+for part in (run.app, analyse.app, export.app, jobs.submitting, serve.app, demo.app):
+    app.add_typer(part)
+app.add_typer(jobs.app, name="jobs")
 app.add_typer(campaign.app, name="campaign")
 app.add_typer(assets.app, name="assets")
 app.add_typer(keys.app, name="keys")
 app.add_typer(targets.app, name="targets")
 app.add_typer(accuracy.app, name="accuracy")
-serve.register(app)
-demo.register(app)
 
 
 def main() -> None:

@@ -12,21 +12,21 @@ import os
 import re
 from asyncio import sleep as async_sleep
 from asyncio import to_thread
-from collections.abc import AsyncIterator, Callable, Coroutine, Iterator, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Coroutine, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path
 from time import sleep
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar, Unpack
 
 import httpx
 from httpx_sse import ServerSentEvent, aconnect_sse, connect_sse
 from pydantic import BaseModel, ValidationError
 
-from client import operations
+from client import DEFAULT_URL, operations
 from client.errors import Unfinished, refusal
-from client.operations import Answer, PriorityName, Request, StateName
+from client.operations import Answer, JobFilter, Request, Submission
 from services import disk
 from services.errors import InvalidRequest
 from services.jobs.states import State
@@ -43,7 +43,6 @@ if TYPE_CHECKING:
     from services.pipeline.result import Outcome, Result
     from services.pipeline.spec import JobSpec, RerenderingSpec
 
-DEFAULT_URL = "http://127.0.0.1:8008"
 PATIENCE = 30.0
 """Seconds without a byte after which an event stream counts as dropped; the service sends a comment more often."""
 PAGE = 200
@@ -391,42 +390,27 @@ class Client:
             if not stream.ended():
                 sleep(stream.pause())
 
-    def submit_job(self, spec: JobSpec | Mapping[str, Any], *, priority: PriorityName | None = None) -> Job:
+    def submit_job(self, spec: JobSpec | Mapping[str, Any], **asked: Unpack[Submission]) -> Job:
         """Queues a job; ApiError with status 422 names every invalid field."""
-        return Job(self.call(operations.submit_job(spec, priority=priority)), self)
+        return Job(self.call(operations.submit_job(spec, **asked)), self)
 
     def get_job(self, job_id: str) -> Job:
         """One job by its id."""
         return Job(self.call(operations.get_job(job_id)), self)
 
-    def list_jobs(
-        self,
-        *,
-        q: str | None = None,
-        sort: str | None = None,
-        state: StateName | Sequence[StateName] | None = None,
-        campaign: str | None = None,
-    ) -> Iterator[JobSummary]:
-        """All jobs that meet a query such as "renderer:torch verified", newest first or sorted ("p", "-queries"), but
-        without requests and results; asks for one page after the other.
+    def list_jobs(self, **which: Unpack[JobFilter]) -> Iterator[JobSummary]:
+        """All jobs that meet a query, newest first or in another order, but without requests and results; asks for one
+        page after the other.
         """
         cursor, first = None, True
         while first or cursor is not None:
-            page = self.call(
-                operations.list_jobs(q=q, sort=sort, state=state, campaign=campaign, limit=PAGE, cursor=cursor)
-            )
+            page = self.call(operations.list_jobs(limit=PAGE, cursor=cursor, **which))
             yield from page.items
             cursor, first = page.next, False
 
-    def submit_campaign(
-        self, spec: CampaignSpec | Mapping[str, Any], *, priority: PriorityName | None = None
-    ) -> CampaignView:
+    def submit_campaign(self, spec: CampaignSpec | Mapping[str, Any], **asked: Unpack[Submission]) -> CampaignView:
         """Starts a campaign."""
-        return self.call(operations.submit_campaign(spec, priority=priority))
-
-    def get_campaign(self, campaign_id: str) -> CampaignView:
-        """One campaign, with its request, progress and outcomes."""
-        return self.call(operations.get_campaign(campaign_id))
+        return self.call(operations.submit_campaign(spec, **asked))
 
     def list_campaigns(self) -> Iterator[CampaignSummary]:
         """All campaigns, newest first."""
@@ -443,14 +427,6 @@ class Client:
         and what is said of it: `name`, `up`, `licence` and `credit`.
         """
         return self.call(operations.upload_asset([Path(path)], kind, **about))
-
-    def list_assets(self) -> list[Uploaded]:
-        """The meshes that were uploaded."""
-        return self.call(operations.list_assets()).items
-
-    def delete_asset(self, name: str) -> None:
-        """Deletes an uploaded mesh by its name. ApiError with status 409 while a job or campaign refers to it."""
-        self.call(operations.delete_asset(name))
 
 
 class AsyncClient:
@@ -497,43 +473,30 @@ class AsyncClient:
             if not stream.ended():
                 await async_sleep(stream.pause())
 
-    async def submit_job(self, spec: JobSpec | Mapping[str, Any], *, priority: PriorityName | None = None) -> AsyncJob:
+    async def submit_job(self, spec: JobSpec | Mapping[str, Any], **asked: Unpack[Submission]) -> AsyncJob:
         """Queues a job; ApiError with status 422 names every invalid field."""
-        return AsyncJob(await self.call(operations.submit_job(spec, priority=priority)), self)
+        return AsyncJob(await self.call(operations.submit_job(spec, **asked)), self)
 
     async def get_job(self, job_id: str) -> AsyncJob:
         """One job by its id."""
         return AsyncJob(await self.call(operations.get_job(job_id)), self)
 
-    async def list_jobs(
-        self,
-        *,
-        q: str | None = None,
-        sort: str | None = None,
-        state: StateName | Sequence[StateName] | None = None,
-        campaign: str | None = None,
-    ) -> AsyncIterator[JobSummary]:
-        """All jobs that meet a query such as "renderer:torch verified", newest first or sorted ("p", "-queries"), but
-        without requests and results; asks for one page after the other.
+    async def list_jobs(self, **which: Unpack[JobFilter]) -> AsyncIterator[JobSummary]:
+        """All jobs that meet a query, newest first or in another order, but without requests and results; asks for one
+        page after the other.
         """
         cursor, first = None, True
         while first or cursor is not None:
-            page = await self.call(
-                operations.list_jobs(q=q, sort=sort, state=state, campaign=campaign, limit=PAGE, cursor=cursor)
-            )
+            page = await self.call(operations.list_jobs(limit=PAGE, cursor=cursor, **which))
             for job in page.items:
                 yield job
             cursor, first = page.next, False
 
     async def submit_campaign(
-        self, spec: CampaignSpec | Mapping[str, Any], *, priority: PriorityName | None = None
+        self, spec: CampaignSpec | Mapping[str, Any], **asked: Unpack[Submission]
     ) -> CampaignView:
         """Starts a campaign."""
-        return await self.call(operations.submit_campaign(spec, priority=priority))
-
-    async def get_campaign(self, campaign_id: str) -> CampaignView:
-        """One campaign, with its request, progress and outcomes."""
-        return await self.call(operations.get_campaign(campaign_id))
+        return await self.call(operations.submit_campaign(spec, **asked))
 
     async def list_campaigns(self) -> AsyncIterator[CampaignSummary]:
         """All campaigns, newest first."""
@@ -551,14 +514,6 @@ class AsyncClient:
         and what is said of it: `name`, `up`, `licence` and `credit`.
         """
         return await self.call(operations.upload_asset([Path(path)], kind, **about))
-
-    async def list_assets(self) -> list[Uploaded]:
-        """The meshes that were uploaded."""
-        return (await self.call(operations.list_assets())).items
-
-    async def delete_asset(self, name: str) -> None:
-        """Deletes an uploaded mesh by its name. ApiError with status 409 while a job or campaign refers to it."""
-        await self.call(operations.delete_asset(name))
 
 
 def _connection(url: str | None, key: str | None) -> dict[str, Any]:

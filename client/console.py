@@ -150,11 +150,6 @@ def answer_text(answer: "Answer | Said") -> str:
     return f"{answer.label} {answer.confidence:.2f}"
 
 
-def small(value: float | str) -> str:
-    """An error or a tolerance, e.g. "8.0e-04" or "0"; the tolerance "exact" stays as it is."""
-    return value if isinstance(value, str) else f"{value:.1e}" if value else "0"
-
-
 def yes(value: bool | None) -> Text:
     """The word "yes" in green, "no" in yellow, nothing for None."""
     return Text("") if value is None else Text("yes", style="green") if value else Text("no", style="yellow")

@@ -116,17 +116,13 @@ def _labels(labels: Any) -> tuple[str, ...]:
 
 
 def _spec(scene: Mapping[str, Any], name: str, spec: Mapping[str, Any], settings: Settings) -> JobSpec:
-    from client.specs import local_library, to_library, with_meshes_added
-    from services.pipeline.check import names_in
+    from client.specs import parsed
     from services.pipeline.spec import parse
 
     for field, argument in (("scene", "scene"), ("target", "model")):
         if field in spec:
             raise InvalidRequest(f"spec.{field}", f"is given by the argument `{argument}`; leave it out of the spec")
-    data, not_added = with_meshes_added(
-        {"scene": dict(scene), "target": {"name": name}, **spec}, Path.cwd(), to_library(settings)
-    )
-    return parse(data, names_in(local_library(settings), not_read=not_added))
+    return parsed(parse, {"scene": dict(scene), "target": {"name": name}, **spec}, Path.cwd(), settings)
 
 
 def _preprocessing(fields: Any) -> Preprocessing:

@@ -8,9 +8,9 @@ models are those with which the service makes its answers; fields that a newer s
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Generic, Literal, TypeVar
+from typing import Any, Generic, Literal, TypedDict, TypeVar, Unpack
 from urllib.parse import quote
 
 from pydantic import BaseModel
@@ -100,6 +100,12 @@ def _plain(body: BaseModel | Mapping[str, Any]) -> Any:
     return body.model_dump(mode="json", exclude_unset=isinstance(body, JobEdit))
 
 
+def _check_names(given: Mapping[str, Any], known: type) -> None:
+    for name in given:
+        if name not in known.__annotations__:
+            raise TypeError(f"there is no argument {name!r}; there are {', '.join(known.__annotations__)}")
+
+
 def _of_service(route: str, answer: type[Answer]) -> Callable[[], Request[Answer]]:
     """An operation that takes nothing."""
     return lambda: Request("GET", route, answer)
@@ -122,48 +128,56 @@ def _of_asset(method: str, route: str, answer: type[Answer]) -> Callable[[str], 
     return lambda name: Request(method, "/v1/assets/{sha256}" + route, answer, {"sha256": name.removeprefix("sha256:")})
 
 
+class Submission(TypedDict, total=False):
+    """What a submission asks for: `device` and `memory`, in bytes, are those that a worker must have."""
+
+    priority: PriorityName | None
+    device: Device | None
+    memory: int | None
+    idempotency_key: str | None
+
+
+def _submission(
+    route: str,
+    answer: type[Answer],
+    body: BaseModel | Mapping[str, Any],
+    asked: Submission,
+    headers: Mapping[str, str | None],
+) -> Request[Answer]:
+    _check_names(asked, Submission)
+    params = {name: asked.get(name) for name in ("priority", "device", "memory")}
+    headers = {"Idempotency-Key": asked.get("idempotency_key"), **headers}
+    return Request("POST", route, answer, params=params, headers=headers, json=body, seconds=CHECK_SECONDS)
+
+
+def _prefer(wait: float | None) -> dict[str, str | None]:
+    return {"Prefer": None if wait is None else f"wait={wait:.0f}"}
+
+
 def submit_job(
-    spec: JobSpec | Mapping[str, Any],
-    *,
-    priority: PriorityName | None = None,
-    device: Device | None = None,
-    memory: int | None = None,
-    idempotency_key: str | None = None,
-    wait: float | None = None,
+    spec: JobSpec | Mapping[str, Any], *, wait: float | None = None, **asked: Unpack[Submission]
 ) -> Request[JobView]:
-    """Queues a job. `wait` is how many seconds the answer may wait for its end, at most 30; `memory` is in bytes."""
-    return Request(
-        "POST",
-        "/v1/jobs",
-        JobView,
-        params={"priority": priority, "device": device, "memory": memory},
-        headers={"Idempotency-Key": idempotency_key, "Prefer": None if wait is None else f"wait={wait:.0f}"},
-        json=spec,
-        seconds=CHECK_SECONDS,
-    )
+    """Queues a job. `wait` is how many seconds the answer may wait for its end, at most 30."""
+    return _submission("/v1/jobs", JobView, spec, asked, _prefer(wait))
 
 
-def list_jobs(
-    *,
-    q: str | None = None,
-    sort: str | None = None,
-    state: StateName | Sequence[StateName] | None = None,
-    kind: Literal["attack", "rerendering"] | None = None,
-    campaign: str | None = None,
-    limit: int | None = None,
-    cursor: str | None = None,
-) -> Request[JobPage]:
-    """A page of the jobs that meet a query such as "renderer:torch verified", newest first or in another order."""
-    params = {
-        "q": q,
-        "sort": sort,
-        "state": state,
-        "kind": kind,
-        "campaign": campaign,
-        "limit": limit,
-        "cursor": cursor,
-    }
-    return Request("GET", "/v1/jobs", JobPage, params=params)
+class JobFilter(TypedDict, total=False):
+    """Which jobs to list, and in which order: `q` is a query such as "renderer:torch verified", `sort` a column such as
+    "p", or "-queries" for the greatest first.
+    """
+
+    q: str | None
+    sort: str | None
+    state: StateName | Sequence[StateName] | None
+    kind: Literal["attack", "rerendering"] | None
+    campaign: str | None
+
+
+def list_jobs(*, limit: int | None = None, cursor: str | None = None, **which: Unpack[JobFilter]) -> Request[JobPage]:
+    """A page of the jobs that meet a query, newest first or in another order."""
+    _check_names(which, JobFilter)
+    filters = {name: which.get(name) for name in JobFilter.__annotations__}
+    return Request("GET", "/v1/jobs", JobPage, params=filters | {"limit": limit, "cursor": cursor})
 
 
 def get_job_table(*, q: str | None = None, sort: str | None = None, job: list[str] | None = None) -> Request[JobTable]:
@@ -232,41 +246,17 @@ def preview_job(spec: JobSpec | Mapping[str, Any], *, plan: bool | None = None) 
 
 
 def rerender_image(
-    body: RerenderingBody | Mapping[str, Any],
-    *,
-    priority: PriorityName | None = None,
-    device: Device | None = None,
-    memory: int | None = None,
-    idempotency_key: str | None = None,
-    wait: float | None = None,
+    body: RerenderingBody | Mapping[str, Any], *, wait: float | None = None, **asked: Unpack[Submission]
 ) -> Request[JobView]:
     """Queues a job that renders the scene of an image again and asks the network about both; its `result` is a
     RerenderingView. The other arguments are those of `submit_job`.
     """
-    submission = submit_job(
-        {}, priority=priority, device=device, memory=memory, idempotency_key=idempotency_key, wait=wait
-    )
-    return replace(submission, route="/v1/rerenderings", json=body)
+    return _submission("/v1/rerenderings", JobView, body, asked, _prefer(wait))
 
 
-def submit_campaign(
-    spec: CampaignSpec | Mapping[str, Any],
-    *,
-    priority: PriorityName | None = None,
-    device: Device | None = None,
-    memory: int | None = None,
-    idempotency_key: str | None = None,
-) -> Request[CampaignView]:
+def submit_campaign(spec: CampaignSpec | Mapping[str, Any], **asked: Unpack[Submission]) -> Request[CampaignView]:
     """Starts a campaign; priority, device and memory are those of its jobs."""
-    return Request(
-        "POST",
-        "/v1/campaigns",
-        CampaignView,
-        params={"priority": priority, "device": device, "memory": memory},
-        headers={"Idempotency-Key": idempotency_key},
-        json=spec,
-        seconds=CHECK_SECONDS,
-    )
+    return _submission("/v1/campaigns", CampaignView, spec, asked, {})
 
 
 def list_campaigns(

@@ -5,7 +5,7 @@ this machine that it names by their paths.
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from services.errors import InvalidFields, InvalidRequest
 from services.strict import NotJson, read_json
@@ -18,8 +18,10 @@ if TYPE_CHECKING:
     from services.scenes.bundle import Bundle
     from services.scenes.library import Library
     from services.settings import Settings
+    from services.strict import Names
 
 
+Spec = TypeVar("Spec")
 Adding = Callable[[Path], tuple[str, Sequence[str]]]
 """Adds the mesh in a file. Returns its name in a scene, and the parts that are not shown. Raises InvalidRequest."""
 _PLACES = (
@@ -34,23 +36,27 @@ _NAMED = ("furniture/", "primitive/", "sha256:")
 
 
 def read_job(spec: str, settings: "Settings", seed: int | None = None) -> "JobSpec":
-    """The job in the file `spec`, as `spec_input.read` has it, with its meshes added to this machine's uploads.
+    """The job in the file `spec`, as `read` reads it, with its meshes added to this machine's uploads.
 
     Raises InvalidFields with every wrong field, and every name that there is not.
     """
-    from services.pipeline.check import names_in
     from services.pipeline.spec import parse
 
-    data, not_added = with_meshes_added(read(spec, seed), folder_of(spec), to_library(settings))
-    return parse(data, names_in(local_library(settings), not_read=not_added))
+    return parsed(parse, read(spec, seed), folder_of(spec), settings)
 
 
 def read_campaign(spec: str, settings: "Settings") -> "CampaignSpec":
     """The campaign in the file `spec`; as `read_job`."""
     from services.pipeline.campaign_spec import parse
+
+    return parsed(parse, read(spec), folder_of(spec), settings)
+
+
+def parsed(parse: Callable[[Any, "Names"], Spec], data: dict[str, Any], folder: Path, settings: "Settings") -> Spec:
+    """The job or campaign in JSON data, with the meshes below `folder` added to this machine's uploads."""
     from services.pipeline.check import names_in
 
-    data, not_added = with_meshes_added(read(spec), folder_of(spec), to_library(settings))
+    data, not_added = with_meshes_added(data, folder, to_library(settings))
     return parse(data, names_in(local_library(settings), not_read=not_added))
 
 

@@ -15,18 +15,13 @@ if TYPE_CHECKING:
 ANALYSES = "analyses.json"
 
 
-def register(app: typer.Typer) -> None:
-    """Adds the commands."""
-    app.command(
-        epilog="Examples: [bold]scene-attack analyse out/combined --minimal[/bold]\n\n"
-        "[bold]scene-attack analyse out/poses --coordinates --transfer efficientnet-lite0 --renderer torch[/bold]"
-    )(analyse)
-    app.command(
-        epilog="Example: [bold]scene-attack rerender out/image/attacked.png examples/image-fgsm.json "
-        "--out rendered.png[/bold]"
-    )(rerender)
+app = typer.Typer()
 
 
+@app.command(
+    epilog="Examples: [bold]scene-attack analyse out/combined --minimal[/bold]\n\n"
+    "[bold]scene-attack analyse out/poses --coordinates --transfer efficientnet-lite0 --renderer torch[/bold]"
+)
 def analyse(
     directory: Annotated[Path, typer.Argument(help="The directory that `run --out` or `jobs download` wrote.")],
     minimal: Annotated[bool, typer.Option("--minimal", help="The smallest scale that still fools.")] = False,
@@ -91,6 +86,10 @@ def _analyse(directory: Path, request: dict[str, Any], settings: "Settings") -> 
         )
 
 
+@app.command(
+    epilog="Example: [bold]scene-attack rerender out/image/attacked.png examples/image-fgsm.json "
+    "--out rendered.png[/bold]"
+)
 def rerender(
     image: Annotated[Path, typer.Argument(help="An image of the scene, of the camera's size.")],
     spec: Annotated[str, typer.Argument(metavar="SPEC", help="A job as JSON, for scene and target; - reads stdin.")],

@@ -6,7 +6,8 @@ from typing import Annotated, Any
 
 import typer
 
-from client.commands.options import DEFAULT_URL, JsonOption, UrlOption
+from client import DEFAULT_URL
+from client.commands.options import JsonOption, UrlOption
 from client.console import FittedTable, print_found, print_json, remark, say
 
 app = typer.Typer(help="The meshes and environment maps that scenes are made of.", no_args_is_help=True)
@@ -116,10 +117,11 @@ def add(
 @app.command(epilog="Example: [bold]scene-attack assets uploads[/bold]")
 def uploads(url: UrlOption = DEFAULT_URL, as_json: JsonOption = False) -> None:
     """List the meshes that were uploaded to a running service."""
+    from client import operations
     from client.client import Client
 
     with Client(url) as client:
-        entries = client.list_assets()
+        entries = client.call(operations.list_assets()).items
     rows = [[entry.title, entry.licence, str(entry.triangles), entry.name] for entry in entries]
     print_found(entries, FittedTable(("title", "licence", "triangles", "mesh"), rows), as_json)
 
@@ -131,13 +133,14 @@ def delete(
     as_json: JsonOption = False,
 ) -> None:
     """Delete an uploaded mesh. A job or campaign that refers to it must be deleted first."""
+    from client import operations
     from client.client import Client
     from services.errors import InvalidRequest
 
     if not re.fullmatch(r"(sha256:)?[0-9a-f]{64}", mesh):
         raise InvalidRequest("MESH", f"{mesh!r} is not the name of an uploaded mesh, which is sha256: and 64 digits")
     with Client(url) as client:
-        client.delete_asset(mesh)
+        client.call(operations.delete_asset(mesh))
     name = f"sha256:{mesh.removeprefix('sha256:')}"
     print_found({"name": name, "deleted": True}, f"{name}  deleted", as_json)
 

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from client.commands.options import DEFAULT_URL, SHORT, JsonOption, PriorityOption, UrlOption, whole_campaign_id
+from client import DEFAULT_URL
+from client.commands.options import SHORT, JsonOption, PriorityOption, UrlOption, whole_campaign_id
 from client.console import FittedTable, print_found, print_json, remark, report_extensions, say
 from services.errors import InvalidRequest
 

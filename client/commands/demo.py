@@ -59,11 +59,10 @@ LOOK_EVERY = 0.5
 """Seconds between two looks at the jobs."""
 
 
-def register(app: typer.Typer) -> None:
-    """Adds the command."""
-    app.command(epilog="Example: [bold]scene-attack demo --once[/bold]")(demo)
+app = typer.Typer()
 
 
+@app.command(epilog="Example: [bold]scene-attack demo --once[/bold]")
 def demo(
     once: Annotated[bool, typer.Option("--once", help="End when the jobs have ended.")] = False,
 ) -> None:

@@ -5,18 +5,17 @@ from typing import Annotated
 
 import typer
 
-from client.commands.options import DEFAULT_URL, SHORT, JsonOption, UrlOption, whole_job_id
+from client import DEFAULT_URL
+from client.commands.options import SHORT, JsonOption, UrlOption, whole_job_id
 from client.console import print_found
 
-
-def register(app: typer.Typer) -> None:
-    """Adds the command."""
-    app.command(
-        epilog="Examples: [bold]scene-attack export 0f3c… --out piano.zip[/bold]\n\n"
-        "[bold]scene-attack export out/combined --out out/combined-export[/bold]"
-    )(export)
+app = typer.Typer()
 
 
+@app.command(
+    epilog="Examples: [bold]scene-attack export 0f3c… --out piano.zip[/bold]\n\n"
+    "[bold]scene-attack export out/combined --out out/combined-export[/bold]"
+)
 def export(
     job: Annotated[
         str,

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
+from client import DEFAULT_URL
 from client.commands.options import (
-    DEFAULT_URL,
     SHORT,
     JsonOption,
     PriorityOption,
@@ -37,13 +37,7 @@ app = typer.Typer(
 )
 
 
-def register(commands: typer.Typer) -> None:
-    """Adds `submit`, and the group `jobs`."""
-    commands.command(
-        epilog="Examples: [bold]scene-attack submit examples/image-fgsm.json --watch[/bold]\n\n"
-        "[bold]scene-attack submit - --url http://10.0.0.7:8008 < spec.json[/bold]"
-    )(submit)
-    commands.add_typer(app, name="jobs")
+submitting = typer.Typer()
 
 
 JobId = Annotated[
@@ -51,6 +45,10 @@ JobId = Annotated[
 ]
 
 
+@submitting.command(
+    epilog="Examples: [bold]scene-attack submit examples/image-fgsm.json --watch[/bold]\n\n"
+    "[bold]scene-attack submit - --url http://10.0.0.7:8008 < spec.json[/bold]"
+)
 def submit(
     spec: SpecArgument,
     url: UrlOption = DEFAULT_URL,
@@ -199,7 +197,7 @@ def list_jobs(
     columns = ("id", "state", "scene", "attack", "target", "before → after", "network", "verified")
     say(FittedTable(columns, rows, spare=("target", "attack", "verified", "network")))
     if more:
-        remark(f"These are the newest {limit}; --all lists every job, --limit more of them.")
+        remark(f"These are the first {limit}; --all lists every job, --limit more of them.")
 
 
 @app.command(epilog="Example: [bold]scene-attack jobs show 0f3c… --json[/bold]")

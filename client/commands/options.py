@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from api.schemas import CampaignSummary, JobSummary
     from client.client import Client
 
-DEFAULT_URL = "http://127.0.0.1:8008"
-
 SpecArgument = Annotated[str, typer.Argument(metavar="SPEC", help="A job as JSON; - reads it from stdin.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
 DataOption = Annotated[

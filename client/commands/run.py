@@ -15,9 +15,9 @@ from client.console import (
     remark,
     report_extensions,
     say,
-    small,
     yes,
 )
+from services.text import small
 
 if TYPE_CHECKING:
     from rich.text import Text
@@ -31,19 +31,13 @@ if TYPE_CHECKING:
     from services.settings import Settings
 
 
-def register(app: typer.Typer) -> None:
-    """Adds the commands."""
-    app.command(
-        epilog="Examples: [bold]scene-attack run examples/torch-combined.json --out out/combined[/bold]\n\n"
-        "[bold]scene-attack run - --out out/x < spec.json[/bold]"
-    )(run)
-    app.command(epilog="Example: [bold]scene-attack replay out/combined[/bold]")(replay)
-    app.command(epilog="Example: [bold]scene-attack plan examples/torch-combined.json[/bold]")(plan)
-    app.command(epilog="Example: [bold]scene-attack render examples/torch-combined.json --out picture.png[/bold]")(
-        render
-    )
+app = typer.Typer()
 
 
+@app.command(
+    epilog="Examples: [bold]scene-attack run examples/torch-combined.json --out out/combined[/bold]\n\n"
+    "[bold]scene-attack run - --out out/x < spec.json[/bold]"
+)
 def run(
     spec: SpecArgument,
     out: Annotated[Path, typer.Option(help="Directory for result.json, the perturbation and the images.")],
@@ -150,6 +144,7 @@ def library(settings: "Settings") -> "Library":
     return local_library(settings)
 
 
+@app.command(epilog="Example: [bold]scene-attack replay out/combined[/bold]")
 def replay(
     directory: Annotated[Path, typer.Argument(help="The directory that `run --out` or `export` wrote.")],
     as_json: JsonOption = False,
@@ -182,6 +177,17 @@ def replay(
         raise typer.Exit(1)
 
 
+def _read(spec: str) -> "tuple[Settings, JobSpec]":
+    """The settings by which this process is set up, and the job in a file. Names the extensions that were left out."""
+    from client.settings import settings_to_run
+    from client.specs import read_job
+
+    settings = settings_to_run()
+    report_extensions()
+    return settings, read_job(spec, settings)
+
+
+@app.command(epilog="Example: [bold]scene-attack plan examples/torch-combined.json[/bold]")
 def plan(
     spec: SpecArgument,
     as_json: JsonOption = False,
@@ -193,12 +199,7 @@ def plan(
     no attack; it draws the scene, asks the network twice, and measures errors of images and gradients. A job that
     cannot run ends with the same error as in `run`.
     """
-    from client.settings import settings_to_run
-    from client.specs import read_job
-
-    settings = settings_to_run()
-    report_extensions()
-    job = read_job(spec, settings)
+    settings, job = _read(spec)
     with err().status("loading") as line:
         assets = library(settings)
         from services.pipeline.preview import planned_cost
@@ -245,6 +246,7 @@ def _print_plan(planned: "PlannedCost") -> None:
         )
 
 
+@app.command(epilog="Example: [bold]scene-attack render examples/torch-combined.json --out picture.png[/bold]")
 def render(
     spec: SpecArgument,
     out: Annotated[Path | None, typer.Option(help="Write the image to this PNG file.")] = None,
@@ -254,14 +256,10 @@ def render(
 
     It is what POST /v1/preview answers. A job that cannot run ends with the same error as in `run`.
     """
-    from client.settings import settings_to_run
-    from client.specs import read_job
     from client.tables import warn
     from services.errors import InvalidRequest
 
-    settings = settings_to_run()
-    report_extensions()
-    job = read_job(spec, settings)
+    settings, job = _read(spec)
     if out is not None and not out.parent.is_dir():
         raise InvalidRequest("--out", f"there is no folder {out.parent}; make it first")
     with err().status("loading") as line:

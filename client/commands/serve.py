@@ -32,23 +32,10 @@ WorkersOption = Annotated[int | None, typer.Option("--workers", "-w", help="Job 
 COLOURS = {"ok": "green", "warn": "yellow", "fail": "red"}
 
 
-def register(app: typer.Typer) -> None:
-    """Adds the commands."""
-    app.command(epilog="Example: [bold]scene-attack serve --port 8008 --workers 2[/bold]")(serve)
-    app.command(
-        epilog="Example: [bold]SCENE_ATTACK_REDIS_URL=redis://redis:6379 scene-attack api --host 0.0.0.0[/bold]"
-    )(api)
-    app.command(epilog="Example: [bold]SCENE_ATTACK_REDIS_URL=redis://redis:6379 scene-attack worker[/bold]")(worker)
-    app.command(epilog="Example: [bold]scene-attack doctor[/bold]")(doctor)
-    app.command(
-        epilog="Examples: [bold]scene-attack backup /backups/monday[/bold]\n\n"
-        "[bold]scene-attack backup /backups/monday --data /srv/scene-attack[/bold]\n\n"
-        "To restore, start the service on a copy of the folder: [bold]scene-attack serve --data /srv/restored[/bold]. "
-        "Of PostgreSQL, restore database.dump first: "
-        "[bold]pg_restore --no-owner --dbname=URL /backups/monday/database.dump[/bold]"
-    )(backup)
+app = typer.Typer()
 
 
+@app.command(epilog="Example: [bold]scene-attack serve --port 8008 --workers 2[/bold]")
 def serve(
     host: HostOption = None, port: PortOption = None, workers: WorkersOption = None, data: DataOption = None
 ) -> None:
@@ -62,6 +49,7 @@ def serve(
     raise typer.Exit(run(values))
 
 
+@app.command(epilog="Example: [bold]SCENE_ATTACK_REDIS_URL=redis://redis:6379 scene-attack api --host 0.0.0.0[/bold]")
 def api(host: HostOption = None, port: PortOption = None, data: DataOption = None) -> None:
     """Run only the API with the dashboard. Needs SCENE_ATTACK_REDIS_URL, as its workers run elsewhere."""
     values = _settings(host=host, port=port, data=data)
@@ -70,6 +58,7 @@ def api(host: HostOption = None, port: PortOption = None, data: DataOption = Non
     raise typer.Exit(run(values))
 
 
+@app.command(epilog="Example: [bold]SCENE_ATTACK_REDIS_URL=redis://redis:6379 scene-attack worker[/bold]")
 def worker(workers: WorkersOption = None, data: DataOption = None) -> None:
     """Run only workers. Needs SCENE_ATTACK_REDIS_URL, and the database and data directory of the API."""
     values = _settings(workers=workers, data=data)
@@ -93,6 +82,7 @@ def _settings(**options: str | int | Path | None) -> "Settings":
     return settings
 
 
+@app.command(epilog="Example: [bold]scene-attack doctor[/bold]")
 def doctor(as_json: JsonOption = False) -> None:
     """Check libraries, folders, disk, database, Redis, meshes, OpenGL, kernels and weights, and say what to do.
 
@@ -114,6 +104,13 @@ def doctor(as_json: JsonOption = False) -> None:
         raise typer.Exit(1)
 
 
+@app.command(
+    epilog="Examples: [bold]scene-attack backup /backups/monday[/bold]\n\n"
+    "[bold]scene-attack backup /backups/monday --data /srv/scene-attack[/bold]\n\n"
+    "To restore, start the service on a copy of the folder: [bold]scene-attack serve --data /srv/restored[/bold]. "
+    "Of PostgreSQL, restore database.dump first: "
+    "[bold]pg_restore --no-owner --dbname=URL /backups/monday/database.dump[/bold]"
+)
 def backup(
     folder: Annotated[Path, typer.Argument(help="A folder that does not exist yet, or is empty.")],
     data: DataOption = None,

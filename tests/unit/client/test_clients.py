@@ -243,7 +243,7 @@ def test_every_kind_of_answer_is_read(client: Client, script: Script) -> None:
     script.answers = [says(200, {"items": []}), says(200, b"a,b\n", "text/csv"), says(204, b""), says(202, CAMPAIGN)]
     assert client.call(operations.list_targets()).items == []
     assert client.call(operations.get_campaign_table_csv("1")) == "a,b\n"
-    client.delete_asset("sha256:1")
+    client.call(operations.delete_asset("sha256:1"))
     assert client.submit_campaign({}, priority="normal").model_dump(mode="json") == CAMPAIGN
     assert script.paths[-1] == "POST /v1/campaigns?priority=normal"
 
@@ -303,14 +303,6 @@ def test_a_job_is_queued_again_and_continued(client: Client, script: Script) -> 
 
     assert asyncio.run(run()) == ("1a", "2b")
     assert script.paths == [f"GET /v1/jobs/{ID}", f"POST /v1/jobs/{ID}/retry", f"POST /v1/jobs/{ID}/continue"] * 2
-
-
-def test_an_upload_is_deleted_by_its_name(client: Client, script: Script) -> None:
-    script.answers = [says(204, b""), says(409, {"detail": "the mesh is in use by job 0f3c"})]
-    client.delete_asset("sha256:" + "0a" * 32)
-    with pytest.raises(ApiError, match="in use by job 0f3c"):
-        client.delete_asset("0a" * 32)
-    assert script.paths == ["DELETE /v1/assets/" + "0a" * 32] * 2
 
 
 @pytest.mark.parametrize(("key", "sent"), [(" sa_1_secret\n", "Bearer sa_1_secret"), ("", None)])

@@ -3,7 +3,7 @@
 import inspect
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import Any, get_args, get_type_hints
 
 import pytest
 import yaml
@@ -36,7 +36,14 @@ def example(function: Callable[..., Request[Any]], tmp_path: Path) -> Request[An
     """The request with a value for every parameter."""
     (tmp_path / "mesh.obj").write_text("o mesh")
     known = {"files": [tmp_path / "mesh.obj"], "spec": {}, "body": {}, "wait": 5.0}
-    return function(**{name: known.get(name, "1") for name in inspect.signature(function).parameters})
+    names = []
+    for parameter in inspect.signature(function).parameters.values():
+        if parameter.kind is inspect.Parameter.VAR_KEYWORD:
+            [keywords] = get_args(get_type_hints(function)[parameter.name])
+            names += keywords.__annotations__
+        else:
+            names.append(parameter.name)
+    return function(**{name: known.get(name, "1") for name in names})
 
 
 def test_every_operation_has_one_function(tmp_path: Path) -> None:
@@ -113,6 +120,12 @@ def test_what_is_not_given_is_not_sent() -> None:
     sent = operations.submit_job({}, wait=2.0).arguments()
     assert sent["headers"] == {"Prefer": "wait=2"}
     assert "params" not in sent
+
+
+def test_an_argument_that_is_misspelt_is_refused() -> None:
+    for misspelt in (lambda: operations.list_jobs(stat="failed"), lambda: operations.submit_job({}, priorty="high")):
+        with pytest.raises(TypeError, match="there is no argument"):
+            misspelt()
 
 
 def test_a_mesh_is_sent_with_the_files_that_it_names(tmp_path: Path) -> None:
