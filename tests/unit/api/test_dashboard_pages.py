@@ -17,7 +17,7 @@ from tests.unit.jobs.records import attacks
 HOSTILE = "<script>alert(1)</script>\"'&"
 
 
-pytestmark = [pytest.mark.slow, pytest.mark.anyio]
+pytestmark = pytest.mark.anyio
 
 
 async def test_an_empty_list_says_how_to_begin(record: Record) -> None:
