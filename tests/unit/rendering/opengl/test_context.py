@@ -151,7 +151,7 @@ def resident():
 
 renderer = PyrenderRenderer(shapes.placed(shapes.scene((64, 64)), shapes.six_parts()))
 generator = torch.Generator().manual_seed(0)
-for frame in range(2000):
+for frame in range(700):
     if frame == 50:
         before = resident()
     turn = torch.randn((1, 1, 3), generator=generator)
@@ -161,9 +161,9 @@ print(json.dumps({"grown": resident() - before, "backend": context.gl_backend(),
 
 
 @pytest.mark.parametrize("platform", PLATFORMS)
-def test_two_thousand_frames_of_six_parts_hold_on_to_no_memory(platform: str) -> None:
-    """With programs cached by the context object, as pyrender does, this grew by 1,614 MiB on OSMesa."""
+def test_many_frames_of_six_parts_hold_on_to_no_memory(platform: str) -> None:
+    """With programs cached by the context object, as pyrender does, this grew by 0.8 MiB a frame on OSMesa."""
     answer = json.loads(on_platform(platform, _MEMORY))
     assert answer["backend"].startswith(platform)
     assert answer["spread"] > 0.01  # something was drawn
-    assert answer["grown"] < 50  # MiB
+    assert answer["grown"] < 20  # MiB

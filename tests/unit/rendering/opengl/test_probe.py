@@ -71,7 +71,7 @@ def test_a_library_that_changed_is_probed(known: Path) -> None:
     assert start(known) == "1 egl egl"
 
 
-@pytest.mark.parametrize("text", ["", "[]", "{}", '{"surroundings": 1}'])
+@pytest.mark.parametrize("text", ["[", '{"surroundings": 1}'])
 def test_a_spoilt_memory_is_none(known: Path, text: str) -> None:
     (known / "egl.json").write_text(text)
     assert start(known) == "1 egl egl"

@@ -87,7 +87,7 @@ from tests.unit.rendering import shapes
 
 lights = Lights(ambient=0.3, points=(PointLight(), PointLight(energy=9.0, position=(-1.0, 0.5, 1.0))))
 glass = shapes.mesh(shapes.sphere(0.3, 24, color=(0.8, 0.5, 0.2, 0.6)))
-scene = shapes.placed(shapes.scene((61, 83), 2, lights, azimuth=0.5, elevation=0.4), shapes.six_parts(), glass)
+scene = shapes.placed(shapes.scene((31, 43), 2, lights, azimuth=0.5, elevation=0.4), shapes.six_parts(), glass)
 renderer = PyrenderRenderer(scene)
 batch = both_sides(renderer.initial(), renderer.groups)
 together, whole = renderer.render(batch), renderer.exact().render(batch)
