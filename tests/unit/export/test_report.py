@@ -1,12 +1,13 @@
-"""The report, parsed as a browser would."""
+"""The report, parsed as a browser would, and what it calls the files."""
 
 from html.parser import HTMLParser
 
 import pytest
 
 from services.export.parameters import ParameterTable
-from services.export.report import curves, report
-from services.pipeline.result import Result
+from services.export.report import content, curves, report
+from services.pipeline.question_record import ATTENTION
+from services.pipeline.result import Result, subset_image
 from tests.unit.api.dashboard_records import result, row
 
 HOSTILE = "<script>alert(1)</script>\"'&"
@@ -56,3 +57,15 @@ def test_a_curve_begins_left_and_its_highest_value_is_on_top() -> None:
     assert points == [(0, pytest.approx(80)), (105, 0), (420, 160)]
     assert (loss.first, loss.last, loss.lowest, loss.highest) == (0.5, 0.1, 0.1, 0.9)
     assert curves(trace[:1]) == []
+
+
+def test_each_image_is_called_what_it_is() -> None:
+    assert "only some of the changed groups" in content(subset_image(12))
+    assert "normal" in content("normals-tilt.png")
+    assert "environment map as it was" in content("map-before.png")
+    assert "under attack" in content("map-after.png")
+    assert "brighter" in content("map-ratio.png")
+    for name in ("attention-0-03-before.png", "attention-0-03-after.png", ATTENTION):
+        assert "a file of the job" not in content(name)
+    attending = [name for name in ("original.png", "map-ratio.png", subset_image(1)) if "attends" in content(name)]
+    assert attending == []

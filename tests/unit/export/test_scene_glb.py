@@ -5,6 +5,7 @@ import json
 from dataclasses import replace
 from io import BytesIO
 from math import pi
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,9 +14,11 @@ import torch
 import trimesh
 from PIL import Image
 
-from services.export.glb import COAT, GLTF_SMITH, scene_glb
+from services.errors import InvalidRequest
+from services.export.glb import COAT, GLTF_SMITH, asset_glb, scene_glb
 from services.export.scene_values import scene_values
 from services.scenes.description import Background, DirectionalLight, Lights, PointLight, SceneObject, SpotLight
+from services.scenes.library import Library
 from services.scenes.mesh import Mesh
 from services.scenes.resolve import with_surface
 from tests.unit.rendering.shapes import mesh, placed, quad, scene
@@ -144,3 +147,17 @@ def test_the_image_behind_the_objects_is_that_of_the_camera() -> None:
     assert np.array_equal(found[0], resolved.ground)
     assert np.abs(found[1] - found[0]).max() > 0.1
     assert "background" not in head_of(written()[1])["scenes"][0]["extras"]
+
+
+def test_it_has_the_mesh_alone_and_a_camera(tmp_path: Path) -> None:
+    glb = asset_glb("primitive/sphere", Library(tmp_path, tmp_path))
+    (mesh,) = loaded(glb, tmp_path).geometry.values()
+    assert len(mesh.faces) > 100
+    head = head_of(glb)
+    assert len(head["cameras"]) == 1
+    assert head["scenes"][0]["extras"]["ambient"] > 0
+
+
+def test_an_unknown_mesh_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InvalidRequest, match="nothing"):
+        asset_glb("primitive/nothing", Library(tmp_path, tmp_path))

@@ -1,4 +1,4 @@
-"""The executor against brute force in predicate logic, on generated questions and on damaged ones."""
+"""The executor against brute force in predicate logic, on generated questions and on damaged ones; kinds of answers."""
 
 import json
 import pickle
@@ -8,7 +8,7 @@ from random import Random
 import pytest
 
 from services.errors import InvalidRequest
-from services.questions.executor import Facts, IllPosed, answer, execute
+from services.questions.executor import ANSWERS, KINDS, Facts, IllPosed, answer, execute, kind_asked, kind_of
 from services.questions.program import FUNCTIONS, InvalidProgram, Node, Program
 from services.scenes.clevr.generator import generate
 from services.scenes.clevr.records import SceneRecord
@@ -103,3 +103,21 @@ def chain(*calls: tuple[str, ...]) -> Program:
     """A program in which each call takes the one before it."""
     nodes = [Node(name, (k - 1,) if k else (), tuple(values)) for k, (name, *values) in enumerate(calls)]
     return Program(tuple(nodes))
+
+
+def test_there_are_28_different_answers() -> None:
+    assert len(ANSWERS) == len(set(ANSWERS)) == 28
+    assert {kind: len(answers) for kind, answers in KINDS.items()} == {
+        "boolean": 2, "integer": 11, "shape": 3, "size": 2, "color": 8, "material": 2,
+    }  # fmt: skip
+
+
+def test_a_question_s_answer_is_of_the_kind_its_program_asks_for(asked) -> None:
+    for _, questions in asked:
+        for question in questions:
+            assert kind_of(question.answer) == kind_asked(question.program)
+
+
+def test_an_unknown_answer_is_refused() -> None:
+    with pytest.raises(InvalidRequest, match="did you mean 'purple'"):
+        kind_of("purpel")

@@ -1,11 +1,11 @@
-"""The field `shadows` of a scene."""
+"""The field `shadows` of a scene, and the names of its objects."""
 
 import json
 
 import pytest
 from pydantic import ValidationError
 
-from services.scenes.description import Scene, SceneObject, Shadows
+from services.scenes.description import Scene, SceneObject, Shadows, object_names
 from services.scenes.resolve import canonical_json
 
 
@@ -39,3 +39,11 @@ def test_shadows_have_defaults_and_are_part_of_the_description() -> None:
 def test_a_value_out_of_its_range_is_refused(field: str, value: float) -> None:
     with pytest.raises(ValidationError, match=field):
         scene(shadows={field: value})
+
+
+def test_objects_are_called_by_meshes_that_no_other_has() -> None:
+    meshes = ("furniture/drill", "primitive/cube", "primitive/cube", "sha256:" + "0" * 64)
+    scene = Scene.model_validate({"objects": [{"mesh": mesh} for mesh in meshes]})
+    assert object_names(scene, {}) == ["drill", "object 1", "object 2", "object 3"]
+    assert object_names(scene, {meshes[3]: "vase"}) == ["drill", "object 1", "object 2", "vase"]
+    assert object_names(scene, {meshes[3]: "drill"}) == [f"object {k}" for k in range(4)]
