@@ -8,7 +8,6 @@ from services.scenes.bundle import About, Bundle
 from services.scenes.environment import average
 from services.scenes.library import Library
 from services.scenes.primitives import PRIMITIVES
-from services.scenes.uploads import Uploads
 
 TETRAHEDRON = b"OFF\n4 4 6\n0 0 0\n1 0 0\n0 1 0\n0 0 1\n3 0 2 1\n3 0 1 3\n3 0 3 2\n3 1 2 3\n"
 
@@ -119,27 +118,11 @@ def test_people_s_titles_of_uploads(tmp_path):
     assert library.titles([vase, plain, "primitive/sphere", "sha256:" + 64 * "0"]) == {vase: "vase"}
 
 
-def test_a_list_reads_the_uploads_that_may_be_seen_and_no_other(tmp_path, monkeypatch):
+def test_a_list_has_the_uploads_that_may_be_seen_and_no_other(tmp_path):
     library = Library(tmp_path / "cache", tmp_path / "data")
     mine, another = (library.add_mesh(TETRAHEDRON + end, "off") for end in (b"", b"\n"))
-    read = []
-    record = Uploads.record
-    monkeypatch.setattr(Uploads, "record", lambda self, sha256: read.append(f"sha256:{sha256}") or record(self, sha256))
     assert {mine, another} < set(library.entries())
-    assert sorted(read) == sorted([mine.name, another.name])
-    read.clear()
     assert library.entries(category="upload", may_see={mine.name}.__contains__) == [mine]
-    assert read == [mine.name]
-    with pytest.raises(InvalidRequest, match="primitive/sphere"):
-        library.check_mesh("primitive/spher")
-    assert read == [mine.name]
-
-
-def test_a_name_is_checked_without_making_its_mesh(tmp_path, monkeypatch):
-    library = Library(tmp_path / "cache", tmp_path / "data")
-    monkeypatch.setattr(Library, "mesh", lambda _, name: pytest.fail(f"{name} is made"))
-    for name in (*(f"primitive/{solid}" for solid in PRIMITIVES), library.add_mesh(TETRAHEDRON, "off").name):
-        library.check_mesh(name)
 
 
 def test_entries_of_the_furniture_are_made_once(library):

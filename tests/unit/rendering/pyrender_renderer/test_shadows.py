@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 from math import pi
-from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +11,7 @@ from services.errors import InvalidRequest
 from services.rendering.declaration import BuildRequest
 from services.rendering.pyrender_renderer.parameters import FINER
 from services.rendering.pyrender_renderer.planner import shadow_error
-from services.rendering.pyrender_renderer.renderer import PyrenderRenderer, draw_by_opengl
+from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
 from services.scenes.description import DirectionalLight, Lights, PointLight, SceneObject, Shadows, SpotLight
 from services.scenes.resolve import ResolvedScene
 from tests.unit.rendering import shapes
@@ -247,33 +246,14 @@ def test_the_error_of_shadows_is_the_mean_over_covered_pixels() -> None:
     assert shadow_error(own, finer, torch.zeros(2, 2, dtype=torch.bool)) == 0
 
 
-def test_the_plan_s_error_is_that_of_the_displayed_images(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As images of two scenes show it, one with four times the texels and samples; each image is drawn once."""
+def test_the_plan_s_error_is_that_of_the_displayed_images() -> None:
+    """As images of two scenes show it, one with four times the texels and samples."""
     coarse = over_ground(ball(), shadows=Shadows(softness=0.2, resolution=64, samples=2), lights=lights("point"))
     fine = Shadows(softness=0.2, resolution=64 * FINER, samples=2 * FINER**2)
     finer = replace(coarse, description=coarse.description.model_copy(update={"shadows": fine}))
     own, wanted = (PyrenderRenderer(one, tolerance="exact") for one in (coarse, finer))
     covered = own.radiance({})[0, ..., 3] > 0
     expected = float((own.render({}) - wanted.render({}))[0].abs()[covered].double().mean())
-    drawn: list[object] = []
-
-    def draw(*given: Any) -> Any:
-        drawn.append(given)
-        return draw_by_opengl(*given)
-
-    monkeypatch.setattr(f"{PyrenderRenderer.__module__}.draw_by_opengl", draw)
     [stage] = [stage for stage in own.plan.stages if stage.name == "shadow maps"]
     assert expected > 1e-3
     assert f"by {expected:.1e} in the mean" in stage.why
-    assert len(drawn) == 2
-
-
-def test_finer_shadows_are_drawn_for_the_plan_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[bool] = []
-    monkeypatch.setattr(f"{PyrenderRenderer.__module__}.shadow_error", lambda *_: asked.append(True) or 0.25)
-    renderer = PyrenderRenderer(over_ground(ball(), shadows=HARD, lights=lights("point")), tolerance="exact")
-    renderer.exact().render({})
-    assert not asked
-    assert any("by 2.5e-01 in the mean" in stage.why for stage in renderer.plan.stages)
-    assert renderer.plan is renderer.plan
-    assert asked == [True]

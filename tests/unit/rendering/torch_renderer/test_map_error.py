@@ -74,17 +74,6 @@ def test_the_looked_at_pixels_are_those_of_the_subsets() -> None:
     assert len(expected) == 3 + 171  # every third of 513
 
 
-def test_the_map_s_error_is_measured_for_the_plan_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked = iter([0.25])
-    monkeypatch.setattr(f"{TorchRenderer.__module__}.map_error", lambda *_: next(asked))
-    scene = under((4, 8))
-    renderer = TorchRenderer(scene, sphere_gbuffer(scene))
-    renderer.exact().render({})
-    assert renderer.plan.environment_map_error == 0.25
-    assert renderer.plan is renderer.plan
-    assert next(asked, None) is None
-
-
 def test_smaller_maps_cost_more_and_the_largest_nothing() -> None:
     gbuffer = sphere_gbuffer(under((4, 8)))
     found = [TorchRenderer(under(size, "brushed-metal"), gbuffer).plan.environment_map_error for size in MAP_SIZES]
