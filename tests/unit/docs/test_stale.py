@@ -67,6 +67,7 @@ def test_a_renderer_that_draws_otherwise_has_another_fingerprint(
     assert renderer_print(renderer, library, SCENES[:1]) != before
 
 
+@pytest.mark.slow
 def test_every_shipped_network_has_a_fingerprint_of_its_own() -> None:
     prints = [network_print(name) for name in (LITE0, ALEXNET, RESNET, IEP)]
     assert len(set(prints)) == len(prints)

@@ -97,6 +97,7 @@ def test_every_set_of_groups_is_within_its_plan_s_error(library: Library, groups
     assert {group for _, group in measured} == set(groups) - {"material"}
 
 
+@pytest.mark.slow
 def test_a_floor_under_attacked_light_is_a_product_stored_once(
     library: Library, monkeypatch: pytest.MonkeyPatch
 ) -> None:

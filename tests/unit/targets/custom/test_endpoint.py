@@ -222,6 +222,7 @@ def test_a_name_may_not_lead_to_a_private_address(
         assert allowed.resolve("far.test", 443) == chosen
 
 
+@pytest.mark.slow
 def test_a_job_attacks_it_without_gradients_only(server: Server, scan: Scan, tmp_path: Path) -> None:
     folder(tmp_path, "far", endpoint=server.url, labels=list(LABELS), preprocessing={"input_size": SIZE})
     assert [one.error for one in scan(target_endpoints=server.url)] == [None]
