@@ -54,21 +54,6 @@ def test_a_refusal_names_the_field_and_exits_2(stack: Stack) -> None:
     assert cli(stack, "jobs", "show", "nothing").returncode == 2
 
 
-def test_a_mesh_is_added_and_attacked(stack: Stack, tmp_path: Path) -> None:
-    tetrahedron = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"
-    (tmp_path / "tetrahedron.obj").write_text(tetrahedron)
-    added = cli(stack, "assets", "add", str(tmp_path / "tetrahedron.obj"))
-    assert added.returncode == 0, added.stderr
-    name = added.stdout.strip()
-    assert name.startswith("sha256:")
-    scene = QUICK["scene"] | {"objects": [{"mesh": name}]}
-    assert cli(stack, "submit", "-", "--watch", spec=QUICK | {"scene": scene}).returncode == 0
-    (tmp_path / "empty.obj").write_text("v 0 0 0\n")
-    refused = cli(stack, "assets", "add", str(tmp_path / "empty.obj"))
-    assert refused.returncode == 2
-    assert "file" in refused.stderr
-
-
 def test_doctor_tries_drivers_kernels_and_weights(tmp_path: Path) -> None:
     done = process("doctor", "--json", SCENE_ATTACK_DATA=str(tmp_path), PYOPENGL_PLATFORM="no-platform")
     found = {one["subject"]: one["level"] for one in json.loads(done.stdout)}

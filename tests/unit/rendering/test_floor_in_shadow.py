@@ -65,12 +65,6 @@ def test_a_floor_receives_the_shadows_of_the_same_square_as_an_object(kind: str,
     assert float((darker.amax(-1) > 0.02).double().mean()) > 0.03
 
 
-def test_the_plan_names_the_floor_in_shadow(library: Library) -> None:
-    of = scene(library, BALL, floor=FLOOR)
-    plan = TorchRenderer(of, rasterise(of), ("illumination",)).plan
-    assert "floor in shadow" in {stage.part for stage in plan.stages}
-
-
 def test_a_floor_s_light_and_normals_are_attacked_in_shadow(library: Library) -> None:
     of = scene(library, BALL, floor=FLOOR)
     drawn = rasterise(of)

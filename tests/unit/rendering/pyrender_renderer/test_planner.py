@@ -111,22 +111,6 @@ def test_every_coordinate_that_is_kept_changes_the_image_and_no_other_does() -> 
     assert (changed, changed + len(still)) == (item.kept, item.of)
 
 
-def test_a_look_at_a_white_texture_changes_no_bit() -> None:
-    renderer = subject()
-    start, pieces = image(renderer), renderer.drawing.pieces
-    [textures] = [[item.kept, item.of] for item in renderer.plan.items if item.what.startswith("parts with a look")]
-    assert textures == [6, 8]
-    from services.rendering.opengl.mesh_upload import SrgbTexture
-
-    white = SrgbTexture(source=np.full((2, 2, 4), 255, np.uint8), source_channels="RGBA")
-    white._add_to_context()
-    for at, piece in enumerate(pieces):
-        if piece.texture is None:
-            uv = np.zeros((len(piece.part.vertices), 2), np.float32)
-            pieces[at] = replace(piece, texture=white, part=replace(piece.part, uv=uv))
-    assert torch.equal(image(renderer), start)
-
-
 def test_opengl_and_faces_that_do_not_show_change_little() -> None:
     renderer = subject()
     found = {item.what: (item.kept, item.of) for item in renderer.plan.items}
