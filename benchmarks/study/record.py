@@ -3,12 +3,12 @@
 Rates, means and counts are not in the record: the page computes them from the outcome of each job.
 """
 
-import json
 from pathlib import Path
 from typing import Any, Self
 
 from pydantic import BaseModel, ConfigDict, model_validator
 
+from services.accuracy.tables import rows_as_json
 from services.analysis.campaign_table import Case, MeanCurves, Table, table
 from services.attacks.outcome import SUCCESS
 
@@ -177,9 +177,5 @@ def load(path: Path) -> Record:
 
 def save(record: Record, path: Path) -> None:
     """Writes a record as JSON with a line for each job, so that a difference of two records can be read."""
-    whole = record.model_dump(mode="json", exclude_defaults=True)
-    lines = {key: [json.dumps(row, ensure_ascii=False) for row in whole.pop(key)] for key in ("jobs", "curves")}
-    parts = [f' "{key}": {json.dumps(value, ensure_ascii=False)}' for key, value in whole.items()]
-    parts += [f' "{key}": [\n  ' + ",\n  ".join(values) + "\n ]" for key, values in lines.items()]
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text("{\n" + ",\n".join(parts) + "\n}\n", "utf-8")
+    path.write_text(rows_as_json(record.model_dump(mode="json", exclude_defaults=True)), "utf-8")

@@ -31,29 +31,25 @@ def stability(
     import torch
 
     from client.settings import settings_to_run
-    from services.accuracy.stability.case import Case
-    from services.accuracy.stability.report import cases, report, run, write
+    from services.accuracy.provenance import Provenance
+    from services.accuracy.stability.case import observe
+    from services.accuracy.stability.report import WORDS, Report, cases, write
 
     torch.set_num_threads(settings_to_run().threads)
-    chosen = cases(quick)
+    chosen, observations = cases(quick), []
     with err().status("") as line:
-        numbers = iter(range(1, len(chosen) + 1))
-
-        def show(case: Case) -> None:
-            line.update(f"{next(numbers)}/{len(chosen)}  {case.family}: {case.name}")
-
-        observations = run(chosen, show)
-    result = report(observations, "scene-attack accuracy stability" + (" --quick" if quick else ""))
+        for number, case in enumerate(chosen, 1):
+            line.update(f"{number}/{len(chosen)}  {case.family}: {case.name}")
+            observations.append(observe(case))
+    command = "scene-attack accuracy stability" + (" --quick" if quick else "")
+    result = Report(measured=Provenance.now(command), cases=observations)
     write(result, out)
-    counted = [
-        [family, *(str(sum(r.family == family and r.outcome == word for r in result.cases)) for word in result.counts)]
-        for family in dict.fromkeys(row.family for row in result.cases)
-    ]
-    total = ["all", *map(str, result.counts.values())]
-    table = FittedTable(("family", *(f"{word}>" for word in result.counts)), [*counted, total])
-    print_found(result, table, as_json)
-    remark(*(f"failed: {row.family}: {row.name}: {row.what}" for row in result.failed), f"Report in {out}")
-    if result.failed:
+    rows = [[family, *(str(result.count(word, family)) for word in WORDS)] for family in result.families]
+    rows.append(["all", *(str(result.count(word)) for word in WORDS)])
+    print_found(result, FittedTable(("family", *(f"{word}>" for word in WORDS)), rows), as_json)
+    failed = [f"failed: {row.family}: {row.name}: {row.what}" for row in result.cases if row.outcome == "failed"]
+    remark(*failed, f"Report in {out}")
+    if failed:
         raise typer.Exit(1)
 
 
@@ -68,13 +64,13 @@ def work_precision(
         list[str] | None,
         typer.Option(help="A part to measure; the report in the directory keeps its other parts. Repeatable."),
     ] = None,
-    out: Annotated[Path, typer.Option(help="Directory for work-precision.md, .csv and .json.")] = OUT,
+    out: Annotated[Path, typer.Option(help="Directory for work-precision.md and .json.")] = OUT,
     as_json: JsonOption = False,
 ) -> None:
     """Measure error against run time: plans of each tolerance, options of scenes, whole attacks; write the report.
 
     Its seconds mean something only on a machine that does nothing else. The report is written after each part, so that
-    --only measures the others where it was stopped. The parts are shading, maps, shadows, scenes, signs and attacks.
+    --only measures the others where it was stopped. The parts are shading, maps, shadows, scenes and attacks.
     """
     import torch
 

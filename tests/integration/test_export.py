@@ -15,7 +15,8 @@ import trimesh
 from PIL import Image
 from safetensors import safe_open
 
-from services.accuracy.stability.objects import file_of, square_arrays
+from services.accuracy.stability.gltf_file import file_of
+from services.accuracy.stability.objects import square_arrays
 from services.export.bundle import into_folder, write_bundle
 from services.pipeline.execute import execute
 from services.pipeline.spec import parse

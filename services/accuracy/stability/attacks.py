@@ -2,7 +2,7 @@
 far too large, or lead nowhere; differences over steps that are far too small, or far too large.
 """
 
-from functools import partial
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 
 from services.accuracy.placing import placed, sky
-from services.accuracy.stability.case import Case, Measured, largest, need
-from services.accuracy.stability.objects import SIDE, linear_gradient, linear_problem, pixels
+from services.accuracy.stability.case import Case, Measured, case, largest, need
+from services.accuracy.stability.objects import SIDE, attacked, linear_gradient, linear_problem, pixels
 from services.accuracy.stability.torch_shading import SHARP, Shading
 from services.attacks.differences import CANDIDATES, estimate, measure_noise
 from services.attacks.fgsm import Fgsm
@@ -39,13 +39,8 @@ def _pixel_fgsm(steps: int, rate: float, begin: Doubles | None = None, **setting
     fields = {"renderer": "image", "learning_rate": {"image": rate}, "truncation": None, "steps": steps} | settings
     attack = Fgsm.model_validate(fields)
     limit = None if attack.truncation is None else attack.truncation / 255
-    problem = linear_problem(pixels(), truncation=limit)
-    run = AttackRun.begin_or_resume(problem, attack, Verifier.of(problem))
-    if begin is not None:
-        run.state["delta"] = torch.from_numpy(begin).float().flatten()
-    run_attack(run)
-    need(run.step == steps, f"it stopped after {run.step} steps")
-    return run
+    delta = None if begin is None else torch.from_numpy(begin).float().flatten()
+    return attacked(linear_problem(pixels(), truncation=limit), attack, delta)
 
 
 def _momentum(steps: int, rate: float, momentum: float, decay: float, bounded: bool) -> Measured:
@@ -56,9 +51,8 @@ def _momentum(steps: int, rate: float, momentum: float, decay: float, bounded: b
     for _ in range(steps):
         velocity = momentum * velocity + sign + decay * delta
         delta = np.clip(delta - rate * velocity, -start, 1 - start)
-    need(
-        bounded == bool(((start + delta == 0) | (start + delta == 1)).any()), "bounds are met where they should not be"
-    )
+    at_bounds = (start + delta == 0) | (start + delta == 1)
+    need(bounded == bool(at_bounds.any()), "bounds are met where they should not be")
     error = np.abs(run.stored["image"].double().numpy() - delta).max()
     velocities = run.problem.layout.unflatten(run.state["velocity"])["image"].double().numpy()
     velocity_error = np.abs(velocities - velocity).max() / np.abs(velocity).max()
@@ -141,35 +135,22 @@ def _adam(steps: int, weight: float) -> Measured:
     return Measured(float(np.abs(reached - delta)[large].max()) / rate, 1e-2, "error of the perturbation, in steps")
 
 
-def recurrence_cases() -> list[Case]:
+def recurrence_cases() -> Iterator[Case]:
     """The cases of this family."""
     recurrence = "the recurrence, written down again"
     central, beside = "w + 2 λ Δ", "a quadratic objective, away from the start"
-    return [
-        Case("signs alone", "no momentum", recurrence, lambda: _momentum(10, 1e-3, 0.0, 0.0, False)),
-        Case("momentum", "10 steps of η = 1e-3", recurrence, lambda: _momentum(10, 1e-3, 0.9, 0.0, False)),
-        Case("decay", "a pull of 1", recurrence, lambda: _momentum(10, 1e-2, 0.5, 1.0, False)),
-        Case(
-            "momentum against bounds",
-            "pixels at 0 and 1",
-            recurrence,
-            lambda: _momentum(30, 2e-2, 0.9, 0.1, True),
-            "clipped",
-        ),
-        Case("all beyond U", "no gradient left", "the first step is the last", _held, "clipped"),
-        Case("a third beyond U", "gradients of two of three values", "only these move", _partly_held, "clipped"),
-        *(
-            Case(f"difference, λ {weight:g}, δ {delta:g}", beside, central, partial(_with_weight, *row))
-            for row in ((0.1, 0.05, 3.0), (0.1, 0.01, 0.3), (0.05, 0.1, 10.0))
-            for _, delta, weight in (row,)
-        ),
-        Case("measured δ", "noise below, curvature above", "gradients right to a thousandth", _chosen_step),
-        Case("ZOO, 8 steps", "λ 0", recurrence, lambda: _adam(8, 0.0)),
-        Case("ZOO, 8 steps, λ 0.5", "λ pulls back", recurrence, lambda: _adam(8, 0.5)),
-    ]
-
-
-DEFINED = "largest error of a displayed value, against the definition in float64"
+    yield case("signs alone", "no momentum", recurrence, _momentum, 10, 1e-3, 0.0, 0.0, False)
+    yield case("momentum", "10 steps of η = 1e-3", recurrence, _momentum, 10, 1e-3, 0.9, 0.0, False)
+    yield case("decay", "a pull of 1", recurrence, _momentum, 10, 1e-2, 0.5, 1.0, False)
+    bounds = (30, 2e-2, 0.9, 0.1, True)
+    yield case("momentum against bounds", "pixels at 0 and 1", recurrence, _momentum, *bounds, held="clipped")
+    yield case("all beyond U", "no gradient left", "the first step is the last", _held, held="clipped")
+    yield case("a third beyond U", "gradients of two of three values", "only these move", _partly_held, held="clipped")
+    for at, delta, weight in ((0.1, 0.05, 3.0), (0.1, 0.01, 0.3), (0.05, 0.1, 10.0)):
+        yield case(f"difference, λ {weight:g}, δ {delta:g}", beside, central, _with_weight, at, delta, weight)
+    yield case("measured δ", "noise below, curvature above", "gradients right to a thousandth", _chosen_step)
+    yield case("ZOO, 8 steps", "λ 0", recurrence, _adam, 8, 0.0)
+    yield case("ZOO, 8 steps, λ 0.5", "λ pulls back", recurrence, _adam, 8, 0.5)
 
 
 def _rendered_fgsm(renderer: Renderer, group: str, steps: int, **settings: Any) -> tuple[AttackRun, Parameters]:
@@ -177,14 +158,19 @@ def _rendered_fgsm(renderer: Renderer, group: str, steps: int, **settings: Any) 
     problem = linear_problem(renderer, (group,))
     fields = {"renderer": renderer.name, "groups": (group,), "truncation": None, "steps": steps}
     attack = Fgsm.model_validate(fields | settings)
-    run = run_attack(AttackRun.begin_or_resume(problem, attack, Verifier.of(problem)))
-    need(run.step == steps, f"it stopped after {run.step} steps")
+    run = attacked(problem, attack)
     need(all(np.isfinite(row.perceptibility) for row in run.trace), "a perceptibility is not finite")
     return run, problem.layout.unflatten(run.state["delta"])
 
 
-def _no_step(renderer: Renderer, group: str) -> Measured:
+def _small(name: str) -> Renderer:
+    """The renderer of that name for 8² or 16² pixels."""
+    return pixels() if name == "image" else build(placed(size=(16, 16)), name)
+
+
+def _no_step(name: str, group: str) -> Measured:
     """η = 0 moves nothing, however often."""
+    renderer = _small(name)
     run, last = _rendered_fgsm(renderer, group, 120, learning_rate={group: 0.0})
     need(not bool(last[group].any()), "the perturbation is not zero")
     # Images with a gradient may be computed in another order than the original, to float32's rounding.
@@ -204,7 +190,7 @@ def _giant_step(group: str) -> Measured:
     need(largest(last[group]) > 1.0, "it does not move")
     rounding = 1e-6 * (1 + value.abs())
     need(bool((value >= low - rounding).all() and (value <= high + rounding).all()), "a parameter is out of bounds")
-    return shading.errors({group: value}).within(SHARP, DEFINED)
+    return shading.errors({group: value}).within(SHARP)
 
 
 def _far_angles() -> Measured:
@@ -219,15 +205,15 @@ def _far_angles() -> Measured:
         seen = renderer.render({"normals": value[None]})[0]
     need(largest(seen - problem.original[0]) > 0.01, "it does not move")
     need(largest(value) < 1000, "float32 does not tell such angles apart")
-    return shading.errors({"normals": value}).within(SHARP, DEFINED)
+    return shading.errors({"normals": value}).within(SHARP)
 
 
 def _giant_zoo() -> Measured:
     """η = 1e3 through pyrender: out of the image and beyond every light, within bounds and finite."""
-    renderer = build(placed(size=(16, 16)), "pyrender")
+    renderer = _small("pyrender")
     problem = linear_problem(renderer)
     attack = Zoo(method="zoo", renderer="pyrender", delta=1e-2, learning_rate=1e3, steps=20)
-    run = run_attack(AttackRun.begin_or_resume(problem, attack, Verifier.of(problem)))
+    run = attacked(problem, attack)
     outside, last = 0.0, problem.layout.unflatten(run.state["delta"])
     for group, change in last.items():
         low, high = renderer.bounds()[group]
@@ -253,7 +239,7 @@ def _no_gradient() -> Measured:
     renderer = build(placed(thing={"color": (0, 0, 0)}, size=(16, 16)), "torch")
     problem = linear_problem(renderer)
     attack = Fgsm(groups=renderer.plan.groups, steps=120)
-    run = run_attack(AttackRun.begin_or_resume(problem, attack, Verifier.of(problem)))
+    run = attacked(problem, attack)
     reported = [row.below_noise for row in run.trace]
     need(reported == [0] + [3] * 120, "not all three groups are reported flat at every step")
     need(run.stopped == "steps", f"it stopped for {run.stopped}")
@@ -266,12 +252,8 @@ def _coasting() -> Measured:
     renderer = build(placed(thing={"color": (0, 0, 0)}, size=(16, 16)), "torch")
     problem = linear_problem(renderer, ("illumination",))
     rate, momentum, decay = 3e-3, 0.9, 1e-2
-    settings = {
-        "groups": ("illumination",),
-        "learning_rate": {"illumination": rate},
-        "weight_decay": decay,
-        "steps": 120,
-    }
+    rates = {"illumination": rate}
+    settings = {"groups": ("illumination",), "learning_rate": rates, "weight_decay": decay, "steps": 120}
     run = AttackRun.begin_or_resume(problem, Fgsm.model_validate(settings), Verifier.of(problem))
     run.state["velocity"] = torch.full_like(run.state["velocity"], -1.0)
     run_attack(run)
@@ -295,64 +277,39 @@ def _at_the_limit() -> Measured:
     return Measured(largest(beyond - original - limit), 1e-7, "distance of a held value from the limit")
 
 
-def step_cases() -> list[Case]:
+def step_cases() -> Iterator[Case]:
     """The cases of this family."""
-    return [
-        Case("η = 0, pixels", "no step", "nothing moves", lambda: _no_step(pixels(), "image")),
-        Case(
-            "η = 0, torch",
-            "no step",
-            "nothing moves",
-            lambda: _no_step(build(placed(size=(16, 16)), "torch"), "material"),
-        ),
-        *(
-            Case(
-                f"η = 1e3, {group}",
-                "120 steps of 1,000 and more",
-                "in bounds, and images by the definition",
-                partial(_giant_step, group),
-                "clipped",
-            )
-            for group in ("normals", "illumination", "material")
-        ),
-        Case(
-            "normals + 1e6",
-            "float32 has 0.06 radians left there",
-            "held where it has 1e-5, and the definition's image",
-            _far_angles,
-            "clipped",
-        ),
-        Case("η = 1e3, pyrender", "20 steps of 1,000", "in bounds and finite", _giant_zoo, "clipped"),
-        Case("η = 1e3, decay 1", "×1,000 a step", "in bounds", _giant_decay, "clipped"),
-        Case(
-            "no gradient, 120 steps", "a black object", "stays, and every step is reported flat", _no_gradient, "flat"
-        ),
-        Case("momentum, no gradient", "120 steps after one push", "the closed form", _coasting),
-        Case("moved by exactly U", "a comparison of equals", "18/255 is not beyond 18/255", _at_the_limit, "clipped"),
-    ]
+    bounded, giant = "in bounds, and images by the definition", "120 steps of 1,000 and more"
+    lost, held = "float32 has 0.06 radians left there", "held where it has 1e-5, and the definition's image"
+    flat, equals = "stays, and every step is reported flat", "a comparison of equals"
+    yield case("η = 0, pixels", "no step", "nothing moves", _no_step, "image", "image")
+    yield case("η = 0, torch", "no step", "nothing moves", _no_step, "torch", "material")
+    for group in ("normals", "illumination", "material"):
+        yield case(f"η = 1e3, {group}", giant, bounded, _giant_step, group, held="clipped")
+    yield case("normals + 1e6", lost, held, _far_angles, held="clipped")
+    yield case("η = 1e3, pyrender", "20 steps of 1,000", "in bounds and finite", _giant_zoo, held="clipped")
+    yield case("η = 1e3, decay 1", "×1,000 a step", "in bounds", _giant_decay, held="clipped")
+    yield case("no gradient, 120 steps", "a black object", flat, _no_gradient, held="flat")
+    yield case("momentum, no gradient", "120 steps after one push", "the closed form", _coasting)
+    yield case("moved by exactly U", equals, "18/255 is not beyond 18/255", _at_the_limit, held="clipped")
 
 
-def _too_small(renderer: Renderer, group: str) -> Measured:
+def _too_small(name: str, group: str) -> Measured:
     """Differences that round to nothing are called flat, and their gradient is 0."""
-    problem = linear_problem(renderer, (group,), lead=0.0)
+    problem = linear_problem(_small(name), (group,), lead=0.0)
     count = min(problem.layout.total, 24)
     deltas = torch.full((count,), 1e-12, dtype=torch.float64)
     nothing = problem.layout.zeros()
     estimated = estimate(problem, nothing, torch.arange(count), deltas, measure_noise(problem, nothing))
-    need(
-        bool(estimated.below_noise.all()),
-        f"{int((~estimated.below_noise).sum())} of {count} differences are not called flat",
-    )
-    return Measured(
-        largest(estimated.gradients), 0.0, f"largest gradient; {count} of {count} differences reported flat"
-    )
+    flat = int(estimated.below_noise.sum())
+    need(flat == count, f"{count - flat} of {count} differences are not called flat")
+    return Measured(largest(estimated.gradients), 0.0, f"largest gradient; all {count} differences reported flat")
 
 
 def _zoo_flat() -> Measured:
     """An attack all of whose differences are flat goes nowhere, and every row of its trace says so."""
     problem = linear_problem(pixels())
-    settings = Zoo(method="zoo", renderer="image", delta=1e-12, coordinates=50, steps=3)
-    run = run_attack(AttackRun.begin_or_resume(problem, settings, Verifier.of(problem)))
+    run = attacked(problem, Zoo(method="zoo", renderer="image", delta=1e-12, coordinates=50, steps=3))
     reported = [row.below_noise for row in run.trace]
     need(reported == [0, 50, 50, 50], f"reported below the noise: {reported}")
     need(not any(bool(run.state[name].any()) for name in ("first", "second", "moves")), "Adam moved")
@@ -373,11 +330,8 @@ def _too_large() -> Measured:
     """A step of 1 leaves [0,1] on both sides: it is held at the bounds, and the way between them divides."""
     gradients, reference, flat, _ = _gradients(1.0)
     need(not bool(flat.any()), "a difference is called flat")
-    return Measured(
-        float((gradients - reference).abs().max() / reference.abs().max()),
-        1e-5,
-        "relative error of a gradient, closed form",
-    )
+    error = largest(gradients - reference) / largest(reference)
+    return Measured(error, 1e-5, "relative error of a gradient, closed form")
 
 
 def _sweep() -> Measured:
@@ -393,26 +347,13 @@ def _sweep() -> Measured:
     return Measured(worst, 1.0, "error of a gradient that is not flat, in units of the noise over the step")
 
 
-def difference_cases() -> list[Case]:
+def difference_cases() -> Iterator[Case]:
     """The cases of this family."""
     flat = "called flat, gradient 0"
-    return [
-        Case("δ = 1e-12, pixels", "below float32's rounding", flat, lambda: _too_small(pixels(), "image"), "flat"),
-        Case(
-            "δ = 1e-12, pyrender",
-            "float64 parameters, float32 images",
-            flat,
-            lambda: _too_small(build(placed(size=(16, 16)), "pyrender"), "illumination"),
-            "flat",
-        ),
-        Case(
-            "δ = 1e-12, torch",
-            "below float32's rounding",
-            flat,
-            lambda: _too_small(build(placed(size=(16, 16)), "torch"), "material"),
-            "flat",
-        ),
-        Case("ZOO with δ = 1e-12", "nothing to go by", "goes nowhere, and says so", _zoo_flat, "flat"),
-        Case("δ = 1", "beyond both bounds", "the gradient is right", _too_large, "clipped"),
-        Case("δ from 1e-1 to 1e-12", "differences drown in rounding", "right to the noise, or flat", _sweep),
-    ]
+    below, mixed = "below float32's rounding", "float64 parameters, float32 images"
+    yield case("δ = 1e-12, pixels", below, flat, _too_small, "image", "image", held="flat")
+    yield case("δ = 1e-12, pyrender", mixed, flat, _too_small, "pyrender", "illumination", held="flat")
+    yield case("δ = 1e-12, torch", below, flat, _too_small, "torch", "material", held="flat")
+    yield case("ZOO with δ = 1e-12", "nothing to go by", "goes nowhere, and says so", _zoo_flat, held="flat")
+    yield case("δ = 1", "beyond both bounds", "the gradient is right", _too_large, held="clipped")
+    yield case("δ from 1e-1 to 1e-12", "differences drown in rounding", "right to the noise, or flat", _sweep)

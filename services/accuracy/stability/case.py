@@ -3,7 +3,7 @@
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
-from time import perf_counter
+from functools import partial
 from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -63,6 +63,21 @@ class Case:
         return self.held if self.refusal is None else "refused"
 
 
+def case(
+    name: str,
+    stiff: str,
+    must: str,
+    measure: Callable[..., Measured],
+    *arguments: Any,
+    held: Literal["ok", "flat", "clipped"] = "ok",
+    refusal: str | None = None,
+    slow: bool = False,
+    **named: Any,
+) -> Case:
+    """The case that is measured by `measure(*arguments, **named)`."""
+    return Case(name, stiff, must, partial(measure, *arguments, **named), held, refusal, slow)
+
+
 class Observation(BaseModel):
     """The result of a case."""
 
@@ -76,18 +91,11 @@ class Observation(BaseModel):
     what: str = Field(description="what was measured, against which reference; or the words of the refusal")
     measured: float | None = Field(description="None for a refusal")
     tolerance: float | None
-    seconds: str = Field(description="a band, so that another run on another day gives the same report")
-
-
-def band(seconds: float) -> str:
-    """Seconds as an upper end of 10 or 100."""
-    return "< 10" if seconds < 10 else "< 100" if seconds < 100 else "≥ 100"
 
 
 def observe(case: Case) -> Observation:
     """Runs a case. Any error other than the refusal that the case expects is a failure; so is a numpy warning of an
     overflow or of an invalid operation."""
-    began = perf_counter()
     measured = None
     try:
         with warnings.catch_warnings():
@@ -112,7 +120,6 @@ def observe(case: Case) -> Observation:
         what=what,
         measured=None if measured is None else measured.value + 0.0,  # never −0
         tolerance=None if measured is None else measured.limit,
-        seconds=band(perf_counter() - began),
     )
 
 

@@ -2,7 +2,7 @@
 pixel, of millions, and of one row.
 """
 
-from collections.abc import Callable
+from collections.abc import Iterator
 from math import cos, pi, sin, tan
 from typing import Any
 
@@ -10,20 +10,22 @@ import numpy as np
 import torch
 
 from services.accuracy.placing import placed, sky
-from services.accuracy.stability.case import Case, Measured, largest, need
-from services.accuracy.stability.objects import box, linear_network, square
+from services.accuracy.stability.case import Case, Measured, case, largest, need
+from services.accuracy.stability.objects import attacked, box, linear_network, square
 from services.accuracy.stability.references import cast, expected
 from services.accuracy.stability.torch_shading import Shading
 from services.attacks.fgsm import Fgsm
 from services.attacks.goal import ResolvedGoal
 from services.attacks.problem import AttackProblem, evaluate
-from services.attacks.run import AttackRun, Verifier, run_attack
 from services.rendering.factory import build
 from services.rendering.opengl.gbuffer import FACTOR, GBuffer, rasterise
 from services.rendering.protocol import Renderer
-from services.scenes.mesh import FIT_RADIUS
+from services.scenes.mesh import FIT_RADIUS, Doubles, Longs
 from services.scenes.resolve import ResolvedScene
 from services.scenes.view import camera_to_world
+
+FRONT: dict[str, float] = {"azimuth": 0.0, "elevation": 0.0}
+"""The camera on +z; with an odd size the ray through the middle pixel meets the origin."""
 
 EDGES = 0.02
 """Share of covered samples that may differ from the rays': those within rounding of an edge."""
@@ -82,15 +84,22 @@ def drawn_by(scene: ResolvedScene, name: str) -> tuple[Renderer, Renderer]:
     return renderer, renderer.exact()
 
 
-def _filled(mesh: str, thing: dict[str, Any], camera: dict[str, float]) -> Measured:
-    """In front of, and inside, an object that is all there is to see; drawn by both renderers."""
-    scene = placed(mesh, thing=thing, camera=camera)
+def shown_at(pixels: Longs, *renderers: Renderer) -> Iterator[Doubles]:
+    """Displayed values [P, 3] of the scene's own image at `pixels` [P], by each renderer."""
+    for renderer in renderers:
+        image = renderer.render({})[0]
+        need(image.shape == (*renderer.size, 3), f"the image is {tuple(image.shape)}")
+        need(bool(torch.isfinite(image).all()), "the image has values that are not finite")
+        yield image.reshape(-1, 3)[pixels].double().numpy()
+
+
+def _filled(thing: dict[str, Any], camera: dict[str, float]) -> Measured:
+    """In front of, and inside, a cube that is all there is to see; drawn by both renderers."""
+    scene = placed("primitive/cube", thing=thing, camera=camera)
     against_rays(scene, covered=True)
     reference = expected(scene)
     need(len(reference.pixels) > 100, f"only {len(reference.pixels)} pixels are flat")
-    drawn = drawn_by(scene, "pyrender")
-    shown = [variant.render({})[0].reshape(-1, 3)[reference.pixels].double().numpy() for variant in drawn]
-    error = max(largest(image - reference.shown) for image in shown)
+    error = max(largest(image - reference.shown) for image in shown_at(reference.pixels, *drawn_by(scene, "pyrender")))
     return Measured(error, SHOWN, "largest error of pyrender's image against its formula; G-buffer as rays have it")
 
 
@@ -109,64 +118,33 @@ def _refused(thing: dict[str, Any], camera: dict[str, Any] | None = None) -> Mea
     return Measured(1.0, 0.0, "scenes resolved")
 
 
-def _seen(mesh: str = "primitive/cube", **options: Any) -> Callable[[], Measured]:
-    """A measurement of a scene against rays; `options` are the arguments of `placed`."""
-    return lambda: against_rays(placed(mesh, **options))
+def _seen(mesh: str = "primitive/cube", **options: Any) -> Measured:
+    """A scene against rays; `options` are the arguments of `placed`."""
+    return against_rays(placed(mesh, **options))
 
 
-def view_cases() -> list[Case]:
+def view_cases() -> Iterator[Case]:
     """The cases of this family."""
     rays, hidden = "coverage, depth, normals and colours as rays have them", "scene.objects.0"
     filled = "all covered, the surface as rays have it, pyrender's image by its formula"
-    front, refused = {"azimuth": 0.0, "elevation": 0.0}, "a clear error names the object"
-    floor = {"rotation": (-pi / 2, 0, 0), "translation": (0, -0.5, 0), "scale": 100.0}
-    return [
-        Case("three pixels across", "scale 0.1 in 32²", rays, _seen(size=(32, 32), thing={"scale": 0.1})),
-        Case(
-            "filling the frame",
-            "0.03 in front of the camera",
-            filled,
-            lambda: _filled("primitive/cube", {"scale": 2.0, "translation": (0, 0, 1.77 - 2 * CUBE)}, front),
-        ),
-        Case(
-            "camera inside the object",
-            "only back faces are seen",
-            filled,
-            lambda: _filled("primitive/cube", {"scale": 8.0, "rotation": (0.2, 0.3, 0.1)}, {}),
-        ),
-        Case(
-            "cut by the near plane",
-            "a floor from behind the camera to far",
-            rays,
-            _seen("primitive/plane", camera=front, thing=floor),
-        ),
-        Case(
-            "cube around the near plane",
-            "a corner 1e-3 from the eye",
-            rays,
-            _seen(size=(16, 16), camera=front, thing={"translation": (0.1, 0.1, 1.45)}),
-        ),
-        Case(
-            "out of view",
-            "beside the frame",
-            refused,
-            lambda: _refused(thing={"translation": (50, 0, 0)}),
-            refusal=hidden,
-        ),
-        Case(
-            "behind the camera", "w < 0", refused, lambda: _refused({"translation": (0, 0, 5)}, front), refusal=hidden
-        ),
-        Case("less than a pixel", "scale 1e-3", refused, lambda: _refused(thing={"scale": 1e-3}), refusal=hidden),
-        Case("straight above", "elevation π/2", rays, lambda: _pole(pi / 2)),
-        Case("straight below", "elevation −π/2", rays, lambda: _pole(-pi / 2)),
-        Case(
-            "telephoto",
-            "0.02 radians from 100 away",
-            rays,
-            _seen("primitive/torus", camera={"distance": 100.0, "field_of_view": 0.015}, size=(12, 12)),
-        ),
-        Case("fish eye", "2.8 radians from 0.8 away", rays, _seen(camera={"distance": 0.9, "field_of_view": 2.8})),
-    ]
+    refused, floor = "a clear error names the object", "a floor from behind the camera to far"
+    near = {"scale": 2.0, "translation": (0, 0, 1.77 - 2 * CUBE)}
+    around = {"scale": 8.0, "rotation": (0.2, 0.3, 0.1)}
+    plane = {"rotation": (-pi / 2, 0, 0), "translation": (0, -0.5, 0), "scale": 100.0}
+    corner: dict[str, Any] = {"camera": FRONT, "thing": {"translation": (0.1, 0.1, 1.45)}}
+    far, wide = {"distance": 100.0, "field_of_view": 0.015}, {"distance": 0.9, "field_of_view": 2.8}
+    yield case("three pixels across", "scale 0.1 in 32²", rays, _seen, size=(32, 32), thing={"scale": 0.1})
+    yield case("filling the frame", "0.03 in front of the camera", filled, _filled, near, FRONT)
+    yield case("camera inside the object", "only back faces are seen", filled, _filled, around, {})
+    yield case("cut by the near plane", floor, rays, _seen, "primitive/plane", camera=FRONT, thing=plane)
+    yield case("cube around the near plane", "a corner 1e-3 from the eye", rays, _seen, size=(16, 16), **corner)
+    yield case("out of view", "beside the frame", refused, _refused, {"translation": (50, 0, 0)}, refusal=hidden)
+    yield case("behind the camera", "w < 0", refused, _refused, {"translation": (0, 0, 5)}, FRONT, refusal=hidden)
+    yield case("less than a pixel", "scale 1e-3", refused, _refused, {"scale": 1e-3}, refusal=hidden)
+    yield case("straight above", "elevation π/2", rays, _pole, pi / 2)
+    yield case("straight below", "elevation −π/2", rays, _pole, -pi / 2)
+    yield case("telephoto", "0.02 radians from 100 away", rays, _seen, "primitive/torus", camera=far, size=(12, 12))
+    yield case("fish eye", "2.8 radians from 0.8 away", rays, _seen, camera=wide)
 
 
 def _silhouette() -> Measured:
@@ -178,7 +156,7 @@ def _silhouette() -> Measured:
     scene = placed(
         square(side),
         size=(size, size),
-        camera={"azimuth": 0.0, "elevation": 0.0},
+        camera=FRONT,
         thing={"color": (0, 0, 0), "rotation": (0.0, 0.0, 0.4)},
         lights={"ambient": 0.0, "points": []},
         ground=(1.0, 1.0, 1.0),
@@ -193,41 +171,48 @@ def _silhouette() -> Measured:
     return Measured(worst, EDGES, "relative error of the area, closed form; 4 and 16 samples a pixel")
 
 
+def _dark_cube(place: tuple[float, float, float], camera: dict[str, float], **thing: Any) -> ResolvedScene:
+    """A small black cube beside the origin, on a white ground."""
+    dark, thing = {"ambient": 0.0, "points": []}, {"color": (0, 0, 0)} | thing
+    return placed(box(place, 0.1), size=(48, 48), camera=camera, thing=thing, lights=dark, ground=(1, 1, 1))
+
+
+def _middle(covered: Doubles) -> tuple[float, float]:
+    """The middle of what covers an image of 48² by these shares [48, 48], in pixels right of and above its own."""
+    need(covered.sum() > 4, "it is not seen")
+    rows, columns = np.mgrid[:48, :48] + 0.5
+    return (covered * columns).sum() / covered.sum() - 24, 24 - (covered * rows).sum() / covered.sum()
+
+
 def _turned(by_attack: bool) -> Measured:
     """A small cube at +x of its object lands where it must after quarter turns, seen along three axes.
 
     A quarter turn takes +x to +y about z, and to −z about y. −z is to the right of a camera on +x, and up for one
     straight above. `by_attack`: the turn is the attack's, not the scene's.
     """
-    on_z: dict[str, float] = {"azimuth": 0.0, "elevation": 0.0}
-    on_x, on_y = on_z | {"azimuth": pi / 2}, on_z | {"elevation": pi / 2}
+    on_x, on_y = FRONT | {"azimuth": pi / 2}, FRONT | {"elevation": pi / 2}
     worst = 0.0
     for turn, camera, right, up in (
-        ((0.0, 0.0, 0.0), on_z, 1, 0),
-        ((0.0, 0.0, pi / 2), on_z, 0, 1),
+        ((0.0, 0.0, 0.0), FRONT, 1, 0),
+        ((0.0, 0.0, pi / 2), FRONT, 0, 1),
         ((0.0, pi / 2, 0.0), on_x, 1, 0),
         ((0.0, pi / 2, 0.0), on_y, 0, 1),
     ):
-        thing = {"color": (0, 0, 0), "rotation": (0.0, 0.0, 0.0) if by_attack else turn}
-        dark = {"ambient": 0.0, "points": []}
-        scene = placed(box((0.3, 0, 0), 0.1), size=(48, 48), camera=camera, thing=thing, lights=dark, ground=(1, 1, 1))
+        scene = _dark_cube((0.3, 0, 0), camera, rotation=(0.0, 0.0, 0.0) if by_attack else turn)
         parameters = {"rotation": torch.tensor([[turn]], dtype=torch.float64)}
         images = [variant.render(parameters if by_attack else {})[0] for variant in drawn_by(scene, "pyrender")]
         covered = [1 - image.double().mean(dim=2).numpy() for image in images]
         covered += [] if by_attack else [rasterise(scene).coverage.double().numpy()]
         offset = 24 / tan(scene.description.camera.field_of_view / 2) * 0.3 / 1.8
-        for share in covered:
-            need(share.sum() > 4, "it is not seen")
-            rows, columns = np.mgrid[:48, :48] + 0.5
-            middle = (share * columns).sum() / share.sum() - 24, 24 - (share * rows).sum() / share.sum()
-            worst = max(worst, abs(middle[0] - offset * right), abs(middle[1] - offset * up))
+        for x, y in map(_middle, covered):
+            worst = max(worst, abs(x - offset * right), abs(y - offset * up))
     # The cube's near side is 3 % larger than its far side, and samples are a quarter of a pixel apart.
     return Measured(worst, 0.25, "distance of its middle from where it must be, in pixels")
 
 
 def _moved_away(distance: float) -> Measured:
     """An attack moves the object out of the image, sideways and behind the camera: ground is left."""
-    scene = placed(camera={"azimuth": 0.0, "elevation": 0.0})
+    scene = placed(camera=FRONT)
     renderer = build(scene, "pyrender")
     moves = torch.tensor([[[distance, 0.0, 0.0]], [[0.0, 0.0, distance]], [[0.0, -distance, 0.0]]], dtype=torch.float64)
     images = renderer.render({"translation": moves})
@@ -241,13 +226,9 @@ def _looked_at() -> Measured:
 
     Around, up to the bounds of the elevation, farther and nearer, and rolled over.
     """
-    place, size = (0.25, 0.35, 0.0), 48
-    dark = {"ambient": 0.0, "points": []}
-    start = {"azimuth": 0.0, "elevation": 0.0}
-    scene = placed(
-        box(place, 0.1), size=(size, size), camera=start, thing={"color": (0, 0, 0)}, lights=dark, ground=(1, 1, 1)
-    )
-    focal = size / 2 / tan(scene.description.camera.field_of_view / 2)
+    place = x, y, _ = 0.25, 0.35, 0.0
+    scene = _dark_cube(place, FRONT)
+    focal = 24 / tan(scene.description.camera.field_of_view / 2)
     worst = 0.0
     for renderer in drawn_by(scene, "pyrender"):
         low, high = (float(bound[1]) for bound in renderer.bounds()["camera"])
@@ -258,31 +239,23 @@ def _looked_at() -> Measured:
             (0.0, 0.3, 1.5, -pi / 2),
         ):
             camera = torch.tensor([[azimuth, elevation, distance, roll]], dtype=torch.float64)
-            share = 1 - renderer.render({"camera": camera})[0].double().mean(dim=2).numpy()
-            need(share.sum() > 4, "it is not seen")
-            rows, columns = np.mgrid[:size, :size] + 0.5
-            x, y, _ = place
+            middle = _middle(1 - renderer.render({"camera": camera})[0].double().mean(dim=2).numpy())
             right = x * cos(azimuth)
             up = y * cos(elevation) - x * sin(azimuth) * sin(elevation)
             depth = distance - x * sin(azimuth) * cos(elevation) - y * sin(elevation)
             offsets = right * cos(roll) + up * sin(roll), up * cos(roll) - right * sin(roll)
-            middle = (share * columns).sum() / share.sum() - size / 2, size / 2 - (share * rows).sum() / share.sum()
             worst = max(worst, *(abs(m - focal * w / depth) for m, w in zip(middle, offsets, strict=True)))
     return Measured(worst, 0.25, "distance of its middle from where it must be, in pixels")
 
 
-def pose_cases() -> list[Case]:
+def pose_cases() -> Iterator[Case]:
     """The cases of this family."""
-    return [
-        Case("silhouette of a square", "edges across pixels", "the square's area", _silhouette),
-        Case("turned object", "quarter turns, three views", "lands where it must", lambda: _turned(False)),
-        Case("object turned by an attack", "quarter turns, three views", "lands where it must", lambda: _turned(True)),
-        Case("camera moved by an attack", "to the poles, rolled over", "lands where it must", _looked_at),
-        Case(
-            "moved out of view", "a step of an attack, 1e3 away", "exactly the ground is left", lambda: _moved_away(1e3)
-        ),
-        Case("moved 1e15 away", "float32 positions", "exactly the ground is left", lambda: _moved_away(1e15)),
-    ]
+    yield case("silhouette of a square", "edges across pixels", "the square's area", _silhouette)
+    yield case("turned object", "quarter turns, three views", "lands where it must", _turned, False)
+    yield case("object turned by an attack", "quarter turns, three views", "lands where it must", _turned, True)
+    yield case("camera moved by an attack", "to the poles, rolled over", "lands where it must", _looked_at)
+    yield case("moved out of view", "a step of an attack, 1e3 away", "exactly the ground is left", _moved_away, 1e3)
+    yield case("moved 1e15 away", "float32 positions", "exactly the ground is left", _moved_away, 1e15)
 
 
 SPREAD = 1009
@@ -295,7 +268,7 @@ def _image(size: tuple[int, int]) -> Measured:
     scene = placed("primitive/sphere", size=size, radiance=sky(), thing={"material": "plastic"})
     shading = Shading.of(scene)
     errors, covered = shading.errors({}), int((shading.gbuffer.coverage > 0).sum())
-    return errors.within(shading.due, f"largest error of a displayed value, against the definition; {covered:,} pixels")
+    return errors.within(shading.due, f"; {covered:,} pixels")
 
 
 def _flat_pixels(size: tuple[int, int]) -> Measured:
@@ -308,13 +281,8 @@ def _flat_pixels(size: tuple[int, int]) -> Measured:
     count = size[0] * size[1]
     reference = expected(scene, pixels=np.arange(0, count, max(1, count // SPREAD)))
     need(len(reference.pixels) > 0.2 * min(count, SPREAD), f"only {len(reference.pixels)} pixels are flat")
-    renderer = build(scene, "pyrender")
-    worst = 0.0
-    for variant in (renderer, renderer.exact()):
-        image = variant.render({})[0]
-        need(image.shape == (*size, 3), f"the image is {tuple(image.shape)}")
-        need(bool(torch.isfinite(image).all()), "the image has values that are not finite")
-        worst = max(worst, largest(image.reshape(-1, 3)[reference.pixels].double().numpy() - reference.shown))
+    shown = shown_at(reference.pixels, *drawn_by(scene, "pyrender"))
+    worst = max(largest(image - reference.shown) for image in shown)
     what = f"largest error of a displayed value, against the formula; {len(reference.pixels)} pixels"
     return Measured(worst, SHOWN, what)
 
@@ -328,9 +296,8 @@ def _attacked(size: tuple[int, int], renderer: str) -> Measured:
     problem = AttackProblem.of(drawn, network, ResolvedGoal((label,), None), groups, truncation=18 / 255)
     far = dict.fromkeys(groups, 1.0)
     settings = Fgsm.model_validate({"renderer": renderer, "learning_rate": far, "steps": 5})
-    run = run_attack(AttackRun.begin_or_resume(problem, settings, Verifier.of(problem)))
+    run = attacked(problem, settings)
     need(run.trace[-1].truncated > 0, "it never comes to U")
-    need(all(np.isfinite((row.loss, row.advantage, row.distance)).all() for row in run.trace), "a row is not finite")
     assert run.best is not None
     need(run.best.saved.shape == (*size, 3), f"the image is {tuple(run.best.saved.shape)}")
     need(run.trace[-1].distance > 0, "it does not move")
@@ -355,25 +322,21 @@ def _white() -> Measured:
     shading = Shading.of(placed(thing={"color": (1, 1, 1)}, radiance=sky()))
     errors = shading.errors({})
     need(errors.clipped == 0, f"{errors.clipped:.0%} of the pixels are beyond white")
-    return errors.within(shading.due, "largest error of a displayed value, against the definition; none is clipped")
+    return errors.within(shading.due, "; none is clipped")
 
 
-def size_cases() -> list[Case]:
+def size_cases() -> Iterator[Case]:
     """The cases of this family."""
     same = "the loop's image is within its tolerance, the exact image within rounding"
     attack, formula = "the attack runs, within U", "displayed values by the formula"
-    return [
-        Case("1 px, torch", "one pixel", same, lambda: _image((1, 1))),
-        Case("1 px, pyrender", "one pixel", formula, lambda: _flat_pixels((1, 1))),
-        Case("1 px, attacked", "a network's input from one pixel", attack, lambda: _attacked((1, 1), "torch")),
-        Case("1 px, its own value", "a network's input from one pixel", attack, lambda: _attacked((1, 1), "image")),
-        Case("1×300 px", "one row", same, lambda: _image((1, 300))),
-        Case("300×7 px, pyrender", "a narrow strip", formula, lambda: _flat_pixels((300, 7))),
-        Case("257² px", "one more than a tile of the rasteriser", same, lambda: _image((257, 257))),
-        Case("2048² px, torch", "4 million pixels", same, lambda: _image((2048, 2048)), slow=True),
-        Case(
-            "2048² px, pyrender", "4 million pixels, 4 samples", formula, lambda: _flat_pixels((2048, 2048)), slow=True
-        ),
-        Case("black albedo", "reflects nothing", "black, gradients exactly 0", _black),
-        Case("white albedo", "reflects everything", same + "; nothing is clipped", _white),
-    ]
+    yield case("1 px, torch", "one pixel", same, _image, (1, 1))
+    yield case("1 px, pyrender", "one pixel", formula, _flat_pixels, (1, 1))
+    yield case("1 px, attacked", "a network's input from one pixel", attack, _attacked, (1, 1), "torch")
+    yield case("1 px, its own value", "a network's input from one pixel", attack, _attacked, (1, 1), "image")
+    yield case("1×300 px", "one row", same, _image, (1, 300))
+    yield case("300×7 px, pyrender", "a narrow strip", formula, _flat_pixels, (300, 7))
+    yield case("257² px", "one more than a tile of the rasteriser", same, _image, (257, 257))
+    yield case("2048² px, torch", "4 million pixels", same, _image, (2048, 2048), slow=True)
+    yield case("2048² px, pyrender", "4 million pixels, 4 samples", formula, _flat_pixels, (2048, 2048), slow=True)
+    yield case("black albedo", "reflects nothing", "black, gradients exactly 0", _black)
+    yield case("white albedo", "reflects everything", same + "; nothing is clipped", _white)

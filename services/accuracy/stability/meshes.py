@@ -1,22 +1,25 @@
 """Meshes with defects that occur in practice, and textures whose every texel is known."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import lru_cache
 from math import tan
+from typing import Any
 
 import numpy as np
 import torch
 import trimesh
 
 from services.accuracy.placing import placed, sky
-from services.accuracy.stability.case import Case, Measured, largest, need
-from services.accuracy.stability.geometry import against_rays, drawn_by, sound
-from services.accuracy.stability.objects import file_of, square, square_arrays
+from services.accuracy.stability.case import Case, Measured, case, largest, need
+from services.accuracy.stability.geometry import FRONT, against_rays, drawn_by, sound
+from services.accuracy.stability.gltf_file import file_of
+from services.accuracy.stability.objects import square, square_arrays
 from services.accuracy.stability.references import EXPOSURE, Lamps, displayed, radiance
 from services.rendering.factory import build
 from services.rendering.opengl.gbuffer import rasterise
 from services.scenes.mesh import FIT_RADIUS, Bytes, Doubles, Longs, Part
 from services.scenes.reading.formats import read_mesh
+from services.scenes.resolve import ResolvedScene
 from services.settings import DEFAULTS
 
 SAME = 2e-6
@@ -56,14 +59,14 @@ def _shown(parts: tuple[Part, ...], camera: dict[str, float] | None = None) -> t
     return image
 
 
-def _same(change: Callable[[Doubles, Longs], Triangles], kind: str = "obj", limit: float = SAME) -> Measured:
+def _same(change: Callable[[Doubles, Longs], Triangles], kind: str = "obj") -> Measured:
     """Compares the image of the changed mesh with that of the original solid."""
     write = as_obj if kind == "obj" else as_stl
     faces = DEFAULTS.max_faces
     plain, changed = read_mesh(as_obj(*_solid()), "obj", faces), read_mesh(write(*change(*_solid())), kind, faces)
     first, second = _shown(plain), _shown(changed)
     need(float(first.std()) > 0.05, "the image shows nothing")
-    return Measured(largest(first - second), limit, "largest difference of a displayed value from the sound mesh")
+    return Measured(largest(first - second), SAME, "largest difference of a displayed value from the sound mesh")
 
 
 def _with_degenerate(vertices: Doubles, faces: Longs) -> Triangles:
@@ -73,6 +76,11 @@ def _with_degenerate(vertices: Doubles, faces: Longs) -> Triangles:
     middle = n + np.arange(len(faces))
     bad = [np.stack([a, a, a], 1), np.stack([a, b, a], 1), np.stack([a, middle, b], 1)]
     return more, np.concatenate([faces, *bad])
+
+
+def _repeated(vertices: Doubles, faces: Longs) -> Triangles:
+    """Every triangle four times, two of them inside out."""
+    return vertices, np.concatenate([faces, faces[:, [1, 2, 0]], faces[:, ::-1], faces[:, [1, 0, 2]]])
 
 
 def _half_turned(vertices: Doubles, faces: Longs) -> Triangles:
@@ -99,9 +107,9 @@ def _open() -> Measured:
     # What reaches furthest along each axis stays, so that the sphere is fitted to the frame as before.
     torn = faces[(height > -0.3) | (height < -0.9)]
     need(len(torn) < len(faces) * 0.8, "hardly anything is missing")
-    limit, front = DEFAULTS.max_faces, {"azimuth": 0.0, "elevation": 0.0}
+    limit = DEFAULTS.max_faces
     # From +z; a little less than half is seen, nothing of the missing band.
-    first, second = (_shown(read_mesh(as_obj(vertices, f), "obj", limit), front) for f in (faces, torn))
+    first, second = (_shown(read_mesh(as_obj(vertices, f), "obj", limit), FRONT) for f in (faces, torn))
     return Measured(largest(first - second), SAME, "largest difference of a displayed value from the whole sphere")
 
 
@@ -130,6 +138,10 @@ def _triangle() -> Measured:
     return against_rays(placed(read_mesh(as_obj(corners, np.array([[0, 1, 2]])), "obj", 10), size=(24, 24)))
 
 
+def _chair() -> Measured:
+    return against_rays(placed("furniture/chair", size=(16, 16)))
+
+
 def _moved(by: float) -> Callable[[Doubles, Longs], Triangles]:
     return lambda v, f: (v + by, f)
 
@@ -138,58 +150,36 @@ def _scaled(by: float) -> Callable[[Doubles, Longs], Triangles]:
     return lambda v, f: (v * by, f)
 
 
-def mesh_cases() -> list[Case]:
+def mesh_cases() -> Iterator[Case]:
     """The cases of this family."""
     same, refused = "the image of the sound mesh", "a clear error names the file"
     v, f = _solid()
     nan, inf = v.copy(), v.copy()
     nan[5, 1], inf[7, 2] = float("nan"), float("inf")
     rays = "coverage, depth, normals and colours as rays have them"
-    return [
-        Case(
-            "degenerate triangles",
-            "points, needles, folds: three for each good one",
-            same,
-            lambda: _same(_with_degenerate),
-        ),
-        Case(
-            "duplicate triangles",
-            "every triangle four times, two of them inside out",
-            same,
-            lambda: _same(lambda v, f: (v, np.concatenate([f, f[:, [1, 2, 0]], f[:, ::-1], f[:, [1, 0, 2]]]))),
-        ),
-        Case("inside out", "every winding inverted", same, lambda: _same(lambda v, f: (v, f[:, ::-1]))),
-        Case("partly inside out", "a third of the windings inverted", same, lambda: _same(_half_turned)),
-        Case("unwelded", "no two triangles share a vertex", same, lambda: _same(lambda v, f: (v, f), "stl")),
-        Case("shuffled", "the order of vertices and triangles", same, lambda: _same(_shuffled)),
-        Case("torn open", "not watertight", "the hidden hole is not seen", _open),
-        Case("1e-6 in size", "areas of 1e-15", same, lambda: _same(_scaled(1e-6))),
-        Case("1e-20 in size", "areas of 1e-43", same, lambda: _same(_scaled(1e-20))),
-        Case("1e6 in size", "areas of 1e9", same, lambda: _same(_scaled(1e6))),
-        Case("1e20 in size", "squares beyond float32", same, lambda: _same(_scaled(1e20))),
-        Case("1e6 from the origin", "float32 has 0.06 left of a size of 1", same, lambda: _same(_moved(1e6))),
-        Case("20k triangles", "with needles at the poles", "the normals of a sphere", lambda: _rounded(20_000)),
-        Case(
-            "200k triangles",
-            "with needles at the poles",
-            "the normals of a sphere",
-            lambda: _rounded(200_000),
-            slow=True,
-        ),
-        Case("one triangle", "no volume, no neighbours", rays, _triangle),
-        Case(
-            "a chair as it is found",
-            "furniture of many parts, unwelded, open",
-            rays,
-            lambda: against_rays(placed("furniture/chair", size=(16, 16))),
-        ),
-        Case("NaN vertex", "not a number", refused, lambda: _read(nan, f), refusal="file"),
-        Case("infinite vertex", "not a number", refused, lambda: _read(inf, f), refusal="file"),
-        Case("coordinates of 1e31", "squares beyond any float", refused, lambda: _read(v * 1e31, f), refusal="file"),
-        Case("all at one point", "no extent", refused, lambda: _read(v * 0 + 1, f), refusal="file"),
-        Case("all on one line", "extent, but no area", refused, lambda: _read(v * (1, 0, 0), f), refusal="file"),
-        Case("too many triangles", "one more than are taken", refused, lambda: _read(v, f, len(f) - 1), refusal="file"),
-    ]
+    yield case("degenerate triangles", "points, needles, folds: three for each good one", same, _same, _with_degenerate)
+    copies = "every triangle four times, two of them inside out"
+    yield case("duplicate triangles", copies, same, _same, _repeated)
+    yield case("inside out", "every winding inverted", same, _same, lambda v, f: (v, f[:, ::-1]))
+    yield case("partly inside out", "a third of the windings inverted", same, _same, _half_turned)
+    yield case("unwelded", "no two triangles share a vertex", same, _same, lambda v, f: (v, f), "stl")
+    yield case("shuffled", "the order of vertices and triangles", same, _same, _shuffled)
+    yield case("torn open", "not watertight", "the hidden hole is not seen", _open)
+    yield case("1e-6 in size", "areas of 1e-15", same, _same, _scaled(1e-6))
+    yield case("1e-20 in size", "areas of 1e-43", same, _same, _scaled(1e-20))
+    yield case("1e6 in size", "areas of 1e9", same, _same, _scaled(1e6))
+    yield case("1e20 in size", "squares beyond float32", same, _same, _scaled(1e20))
+    yield case("1e6 from the origin", "float32 has 0.06 left of a size of 1", same, _same, _moved(1e6))
+    yield case("20k triangles", "with needles at the poles", "the normals of a sphere", _rounded, 20_000)
+    yield case("200k triangles", "with needles at the poles", "the normals of a sphere", _rounded, 200_000, slow=True)
+    yield case("one triangle", "no volume, no neighbours", rays, _triangle)
+    yield case("a chair as it is found", "furniture of many parts, unwelded, open", rays, _chair)
+    yield case("NaN vertex", "not a number", refused, _read, nan, f, refusal="file")
+    yield case("infinite vertex", "not a number", refused, _read, inf, f, refusal="file")
+    yield case("coordinates of 1e31", "squares beyond any float", refused, _read, v * 1e31, f, refusal="file")
+    yield case("all at one point", "no extent", refused, _read, v * 0 + 1, f, refusal="file")
+    yield case("all on one line", "extent, but no area", refused, _read, v * (1, 0, 0), f, refusal="file")
+    yield case("too many triangles", "one more than are taken", refused, _read, v, f, len(f) - 1, refusal="file")
 
 
 SIZE = 48
@@ -215,6 +205,13 @@ def decoded(values: "Bytes | list[int]") -> Doubles:
     return np.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4)
 
 
+def _square_scene(parts: tuple[Part, ...], **options: Any) -> tuple[ResolvedScene, float]:
+    """The square straight before the camera, and the pixels of a scene unit at its distance."""
+    scene = placed(parts, size=(SIZE, SIZE), camera=FRONT, **options)
+    camera = scene.description.camera
+    return scene, SIZE / 2 / tan(camera.field_of_view / 2) / camera.distance
+
+
 def _seen(
     parts: tuple[Part, ...], side: float, points: list[tuple[float, float]], reference: Doubles, plain: bool = True
 ) -> Measured:
@@ -224,22 +221,16 @@ def _seen(
     the sky alone too (a file's surface is shaded by glTF's formula, which differs).
     """
     factor = np.array([1.0, 0.6, 0.3])
-    scene = placed(
-        parts,
-        size=(SIZE, SIZE),
-        camera={"azimuth": 0.0, "elevation": 0.0},
-        thing={"color": tuple(factor)},
-        lights={"ambient": 0.9, "points": []},
-    )
-    focal = SIZE / 2 / tan(scene.description.camera.field_of_view / 2)
+    lights = {"ambient": 0.9, "points": []}
+    scene, scale = _square_scene(parts, thing={"color": tuple(factor)}, lights=lights)
     across = np.array(points) - 0.5
     # The pixel in which the point lies; the square's plane holds the origin.
-    columns, rows = (SIZE / 2 + focal * side / scene.description.camera.distance * across).astype(int).T
+    columns, rows = (SIZE / 2 + scale * side * across).astype(int).T
     colors = reference * factor
     gbuffer = rasterise(scene).base_color[rows, columns].double().numpy()
     worst = largest(gbuffer - colors)
     x, y = ((columns + 0.5) / SIZE * 2 - 1), (1 - (rows + 0.5) / SIZE * 2)
-    reach = tan(scene.description.camera.field_of_view / 2) * scene.description.camera.distance
+    reach = SIZE / 2 / scale
     positions = np.stack([x * reach, y * reach, 0 * x], axis=1)
     normals = np.tile([0.0, 0.0, 1.0], (len(points), 1))
     shown = displayed(EXPOSURE * radiance(positions, normals, colors, scene.view[:3, 3], Lamps(0.9)))
@@ -263,9 +254,8 @@ def _averaged() -> Measured:
     board[..., 3] = 255
     board[::2, ::2, :3] = board[1::2, 1::2, :3] = 255
     points = [(x, y) for x in (0.2, 0.5, 0.8) for y in (0.3, 0.7)]
-    scene = placed(square(0.8, board), size=(SIZE, SIZE), camera={"azimuth": 0.0, "elevation": 0.0})
-    focal = SIZE / 2 / tan(scene.description.camera.field_of_view / 2)
-    columns, rows = (SIZE / 2 + focal * 0.8 / 1.8 * (np.array(points) - 0.5)).astype(int).T
+    scene, scale = _square_scene(square(0.8, board))
+    columns, rows = (SIZE / 2 + scale * 0.8 * (np.array(points) - 0.5)).astype(int).T
     seen = rasterise(scene).base_color[rows, columns].double().numpy()
     # Each level of the texture is rounded to 8 bits, in which half a linear 1 is 188.
     return Measured(largest(seen - 0.5), 0.01, "distance of the base colour from 0.5, closed form")
@@ -275,9 +265,8 @@ def _holes() -> Measured:
     """The square is invisible in its upper left quarter, whose alpha is 0."""
     texture = quartered()
     texture[:16, :16, 3] = 0
-    scene = placed(square(0.8, texture), size=(SIZE, SIZE), camera={"azimuth": 0.0, "elevation": 0.0})
-    focal = SIZE / 2 / tan(scene.description.camera.field_of_view / 2)
-    extent = focal * 0.8 / 1.8
+    scene, scale = _square_scene(square(0.8, texture))
+    extent = 0.8 * scale
     coverage = rasterise(scene).coverage.double().numpy() / extent**2
     ground = np.array(scene.description.ground)
     hole = slice(int(24 - 0.4 * extent), int(24 - 0.1 * extent))
@@ -297,13 +286,11 @@ def _file() -> Measured:
     return _seen(parts, FIT_RADIUS * 2**0.5, points, decoded(CORNERS.reshape(-1, 3)), plain=False)
 
 
-def texture_cases() -> list[Case]:
+def texture_cases() -> Iterator[Case]:
     """The cases of this family."""
     known = "each quarter where it must be, in its linear colour"
-    return [
-        Case("four quarters", "colours of every channel, a factor", known, lambda: _quarters(1)),
-        Case("repeated three times", "uv up to 3", known, lambda: _quarters(3)),
-        Case("four quarters from a file", "glTF: v runs down", known, _file),
-        Case("texels smaller than a pixel", "512² black and white on 24 pixels", "half the light", _averaged),
-        Case("a quarter cut out", "alpha 0", "the ground shows through it", _holes),
-    ]
+    yield case("four quarters", "colours of every channel, a factor", known, _quarters, 1)
+    yield case("repeated three times", "uv up to 3", known, _quarters, 3)
+    yield case("four quarters from a file", "glTF: v runs down", known, _file)
+    yield case("texels smaller than a pixel", "512² black and white on 24 pixels", "half the light", _averaged)
+    yield case("a quarter cut out", "alpha 0", "the ground shows through it", _holes)

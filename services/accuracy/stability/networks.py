@@ -3,7 +3,7 @@ of their range.
 """
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from decimal import Decimal, localcontext
 from math import exp
 
@@ -13,15 +13,14 @@ from pydantic import TypeAdapter, ValidationError
 from torch import Tensor
 
 from services.accuracy.placing import placed, sky
-from services.accuracy.stability.case import Case, Measured, largest, need
-from services.accuracy.stability.objects import SIDE, linear_network
+from services.accuracy.stability.case import Case, Measured, case, largest, need
+from services.accuracy.stability.objects import SIDE, attacked, linear_network
 from services.accuracy.stability.references import displayed
 from services.accuracy.stability.torch_shading import Shading
 from services.attacks.fgsm import Fgsm
 from services.attacks.goal import ResolvedGoal
 from services.attacks.problem import AttackProblem, generator
 from services.attacks.request import LARGEST_SEED, Seed
-from services.attacks.run import AttackRun, Verifier, run_attack
 from services.errors import InvalidRequest
 from services.rendering.color import as_saved, to_display
 from services.rendering.image_renderer import ImageRenderer
@@ -63,10 +62,8 @@ def _margin(margin: float, reach: bool = False) -> Measured:
     if not reach and margin < 30:  # beyond, 1 − p is below float64's rounding of p
         need(abs((1 - p) / exp(remainder) - 1) < 1e-5, f"1 − p is {1 - p:.3e}")
     advantage = float(goal.advantage(logits[None]))
-    need(
-        abs(advantage - (margin - 0.3 if not reach else margin + 0.3)) < ROUNDING * margin,
-        f"the advantage is {advantage}",
-    )
+    ahead = margin + 0.3 if reach else margin - 0.3
+    need(abs(advantage - ahead) < ROUNDING * margin, f"the advantage is {advantage}")
     need(not bool(goal.fooled(logits[None])), "it is fooled")
     error = max(abs(a - b) for a, b in zip(gradient.tolist(), reference, strict=True))
     return Measured(error, ROUNDING, "error of the gradient by each score, against 60 digits")
@@ -85,9 +82,7 @@ def _perturbed(network: Classifier) -> Tensor:
     label = int(network.logits(image[None]).argmax())
     problem = AttackProblem.of(renderer, network, ResolvedGoal((label,), None), ("image",))
     settings = Fgsm(renderer="image", learning_rate={"image": 1e-4}, truncation=None, steps=5)
-    run = run_attack(AttackRun.begin_or_resume(problem, settings, Verifier.of(problem)))
-    need(run.step == 5, f"it stopped after {run.step} steps")
-    return run.stored["image"]
+    return attacked(problem, settings).stored["image"]
 
 
 def _tied() -> Measured:
@@ -129,14 +124,12 @@ def _one(ask: Callable[[ResolvedGoal, Tensor], Tensor]) -> Measured:
     return Measured(float(ask(ResolvedGoal((0,), None), torch.tensor([[3.0]])).sum()), -1.0, "an answer")
 
 
-def _attacked(network: Classifier) -> Measured:
-    return Measured(float(_perturbed(network).abs().max()), -1.0, "largest perturbation")
-
-
-def _not_numbers(value: float) -> Measured:
-    network = linear_network()
-    network.network.get_parameter("1.bias")[2] = value
-    return _attacked(network)
+def _attacked(classes: int = 4, bias: float | None = None) -> Measured:
+    """An attack on a network of so many classes, whose last bias is another number."""
+    network = linear_network(classes=classes)
+    if bias is not None:
+        network.network.get_parameter("1.bias")[-1] = bias
+    return Measured(largest(_perturbed(network)), -1.0, "largest perturbation")
 
 
 def _large() -> Measured:
@@ -147,30 +140,26 @@ def _large() -> Measured:
     return Measured(largest(gradient - torch.tensor([1.0, 0.0, -1.0])), 0.0, "error of the gradient, closed form")
 
 
-def logit_cases() -> list[Case]:
+def logit_cases() -> Iterator[Case]:
     """The cases of this family."""
     way, none = "the gradient is that of the log-odds", "a clear error names the target"
     stopped = "the job ends, and says that its numbers are not finite"
     nan, inf, target = float("nan"), float("inf"), "target.name"
-    return [
-        Case("margin of 20", "p = 1 − 2e-9: float32 has lost it", way, lambda: _margin(20.0)),
-        Case("margin of 90", "exp(90) overflows float32", way, lambda: _margin(90.0)),
-        Case("margin of 1000", "exp(1000) overflows float64", way, lambda: _margin(1000.0)),
-        Case("1000 behind", "a label to reach with p = exp(−1000)", way, lambda: _margin(1000.0, reach=True)),
-        Case("scores × 1000", "every score saturated", "the same steps as unscaled", lambda: _steps_alike(1000.0)),
-        Case("scores × 1e-6", "hardly any gradient", "the same steps as unscaled", lambda: _steps_alike(1e-6)),
-        Case("scores of ±1e38", "the end of float32", way, _large),
-        Case("two tied", "no first answer", "the first of equals is the answer, in any batch", _tied),
-        Case("1000 tied", "no first answer", "the first of equals is the answer", _all_tied),
-        Case("two classes", "one other answer", "log-odds are z₀ − z₁", _two),
-        Case("one class, its gradient", "no other answer", none, lambda: _one(ResolvedGoal.objective), refusal=target),
-        Case("one class, its advantage", "no other answer", none, lambda: _one(ResolvedGoal.advantage), refusal=target),
-        Case(
-            "one class, attacked", "no other answer", none, lambda: _attacked(linear_network(classes=1)), refusal=target
-        ),
-        Case("NaN score", "not a number", stopped, lambda: _not_numbers(nan), refusal="non-finite"),
-        Case("infinite score", "not a number", stopped, lambda: _not_numbers(inf), refusal="non-finite"),
-    ]
+    yield case("margin of 20", "p = 1 − 2e-9: float32 has lost it", way, _margin, 20.0)
+    yield case("margin of 90", "exp(90) overflows float32", way, _margin, 90.0)
+    yield case("margin of 1000", "exp(1000) overflows float64", way, _margin, 1000.0)
+    yield case("1000 behind", "a label to reach with p = exp(−1000)", way, _margin, 1000.0, reach=True)
+    yield case("scores × 1000", "every score saturated", "the same steps as unscaled", _steps_alike, 1000.0)
+    yield case("scores × 1e-6", "hardly any gradient", "the same steps as unscaled", _steps_alike, 1e-6)
+    yield case("scores of ±1e38", "the end of float32", way, _large)
+    yield case("two tied", "no first answer", "the first of equals is the answer, in any batch", _tied)
+    yield case("1000 tied", "no first answer", "the first of equals is the answer", _all_tied)
+    yield case("two classes", "one other answer", "log-odds are z₀ − z₁", _two)
+    yield case("one class, its gradient", "no other answer", none, _one, ResolvedGoal.objective, refusal=target)
+    yield case("one class, its advantage", "no other answer", none, _one, ResolvedGoal.advantage, refusal=target)
+    yield case("one class, attacked", "no other answer", none, _attacked, 1, refusal=target)
+    yield case("NaN score", "not a number", stopped, _attacked, bias=nan, refusal="non-finite")
+    yield case("infinite score", "not a number", stopped, _attacked, bias=inf, refusal="non-finite")
 
 
 def _parameters() -> Measured:
@@ -180,7 +169,7 @@ def _parameters() -> Measured:
     image = shading.renderer.render({g: v[None] for g, v in short.items()})
     need(image.dtype == torch.float32, f"the image is {image.dtype}")
     errors = shading.errors(short)
-    return errors.within(shading.due, "largest error of a displayed value, against the definition of these numbers")
+    return errors.within(shading.due)
 
 
 def _image() -> Measured:
@@ -216,11 +205,8 @@ def _scores() -> Measured:
     scores = torch.randn(20, 1000, generator=torch.Generator().manual_seed(4)).to(torch.bfloat16)
     goal = ResolvedGoal((7,), None)
     reference, objective = goal.objective(scores.double()), goal.objective(scores)
-    return Measured(
-        float((objective.double() - reference).abs().max() / reference.abs().max()),
-        1e-6,
-        "relative error of the log-odds, against float64",
-    )
+    error = largest(objective.double() - reference) / largest(reference)
+    return Measured(error, 1e-6, "relative error of the log-odds, against float64")
 
 
 def _network() -> Measured:
@@ -253,16 +239,14 @@ def _refused(seed: int) -> Measured:
     return Measured(float(seed), -1.0, "the seed")
 
 
-def precision_cases() -> list[Case]:
+def precision_cases() -> Iterator[Case]:
     """The cases of this family."""
     refused = "a clear error names the field"
-    return [
-        Case("bf16 parameters", "8 bits of mantissa", "shaded in float32", _parameters),
-        Case("display curve", "from −0.5 to 1.5", "the standard's formula, there and back", _curve),
-        Case("bf16 image", "8 bits of mantissa", "the nearest of 256 values", _image),
-        Case("bf16 scores", "a sum of 1,000 exponentials", "log-odds as of float64", _scores),
-        Case("bf16 network", "8 bits of mantissa", "float32 scores, as close as bf16 allows", _network),
-        Case("seeds 0 and 2⁶³ − 1", "the ends of the range", "reproducible, and all different", _seeds),
-        Case("seed −1", "below the range", refused, lambda: _refused(-1), refusal="seed"),
-        Case("seed 2⁶³", "above the range", refused, lambda: _refused(2**63), refusal="seed"),
-    ]
+    yield case("bf16 parameters", "8 bits of mantissa", "shaded in float32", _parameters)
+    yield case("display curve", "from −0.5 to 1.5", "the standard's formula, there and back", _curve)
+    yield case("bf16 image", "8 bits of mantissa", "the nearest of 256 values", _image)
+    yield case("bf16 scores", "a sum of 1,000 exponentials", "log-odds as of float64", _scores)
+    yield case("bf16 network", "8 bits of mantissa", "float32 scores, as close as bf16 allows", _network)
+    yield case("seeds 0 and 2⁶³ − 1", "the ends of the range", "reproducible, and all different", _seeds)
+    yield case("seed −1", "below the range", refused, _refused, -1, refusal="seed")
+    yield case("seed 2⁶³", "above the range", refused, _refused, 2**63, refusal="seed")

@@ -1,84 +1,24 @@
-"""Objects of the cases: glTF files written byte by byte from the specification, independently of the project's reader;
-objects of a few triangles whose every corner is known; and a linear network on a few pixels with the problem of
-attacking it.
+"""Objects of the cases: a few triangles whose every corner is known; and a linear network on a few pixels with the
+problem of attacking it.
 """
 
-import json
-import struct
-from collections.abc import Mapping
-from io import BytesIO
+from math import isfinite
 from typing import Any
 
 import numpy as np
 import torch
 import trimesh
-from PIL import Image
 from torch import Tensor, nn
 
+from services.accuracy.stability.case import need
+from services.attacks.attack import Attack
 from services.attacks.goal import ResolvedGoal
 from services.attacks.problem import AttackProblem
+from services.attacks.run import AttackRun, Verifier, run_attack
 from services.rendering.image_renderer import ImageRenderer
 from services.rendering.protocol import Renderer
 from services.scenes.mesh import Bytes, Doubles, Part
 from services.targets.classifier import Classifier
-
-_FLOAT, _UNSIGNED = 5126, 5125
-
-
-def file_of(arrays: Mapping[str, Doubles], material: dict[str, Any], **node: Any) -> bytes:
-    """A GLB file of one node with one primitive. `arrays` are its attributes [V, columns] and its "indices" [3 F].
-
-    `material` is as in the file, but that in place of a texture's index there is its image: uint8 [h, w, 3 or 4], or
-    that as "image" beside the other properties.
-    """
-    tree: dict[str, Any] = {
-        "asset": {"version": "2.0"},
-        "scene": 0,
-        "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0} | node],
-        **{kind: [] for kind in ("accessors", "bufferViews", "textures", "images")},
-    }
-    body = b""
-
-    def view(data: bytes) -> int:
-        nonlocal body
-        tree["bufferViews"].append({"buffer": 0, "byteOffset": len(body), "byteLength": len(data)})
-        body += data + b"\0" * (-len(data) % 4)
-        return len(tree["bufferViews"]) - 1
-
-    def accessor(values: Doubles) -> int:
-        whole = values.ndim == 1
-        stored = values.astype("<u4" if whole else "<f4")
-        entry = {
-            "bufferView": view(stored.tobytes()),
-            "count": len(stored),
-            "componentType": _UNSIGNED if whole else _FLOAT,
-            "type": "SCALAR" if whole else f"VEC{stored.shape[1]}",
-        }
-        tree["accessors"].append(entry | {"min": np.atleast_1d(stored.min(0)).tolist()})
-        return len(tree["accessors"]) - 1
-
-    def texture(value: Any) -> Any:
-        if isinstance(value, dict):
-            more = {name: texture(of) for name, of in value.items() if name != "image"}
-            return more | (texture(value["image"]) if "image" in value else {})
-        if not isinstance(value, np.ndarray):
-            return value
-        png = BytesIO()
-        Image.fromarray(value).save(png, "PNG")
-        tree["images"].append({"bufferView": view(png.getvalue()), "mimeType": "image/png"})
-        tree["textures"].append({"source": len(tree["images"]) - 1})
-        return {"index": len(tree["textures"]) - 1}
-
-    attributes = {name: accessor(values) for name, values in arrays.items() if name != "indices"}
-    primitive = {"attributes": attributes, "indices": accessor(arrays["indices"]), "material": 0}
-    tree |= {"meshes": [{"primitives": [primitive]}], "materials": [texture(material)]}
-    tree["buffers"] = [{"byteLength": len(body)}]
-    tree = {name: value for name, value in tree.items() if value != []}
-    text = json.dumps(tree).encode()
-    text += b" " * (-len(text) % 4)
-    chunks = struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(body), 0x004E4942) + body
-    return struct.pack("<III", 0x46546C67, 2, 12 + len(chunks)) + chunks
 
 
 def square_arrays(**more: Any) -> dict[str, Doubles]:
@@ -175,6 +115,19 @@ def linear_problem(
     """The problem of leaving the first of the network's two labels. `groups` None: those that it is compiled for."""
     network = linear_network(classes=2, lead=lead)
     return AttackProblem.of(renderer, network, ResolvedGoal((0,), None), groups or renderer.plan.groups, **more)
+
+
+def attacked(problem: AttackProblem, attack: Attack, delta: Tensor | None = None) -> AttackRun:
+    """An attack after all its steps, from the perturbation `delta` [total] if there is one. Raises Broken where it
+    stopped before, or a row of its trace is not finite."""
+    run = AttackRun.begin_or_resume(problem, attack, Verifier.of(problem))
+    if delta is not None:
+        run.state["delta"] = delta
+    run_attack(run)
+    need(run.step == attack.steps, f"it stopped after {run.step} steps")
+    for row in run.trace:
+        need(all(isfinite(value) for value in (row.loss, row.advantage, row.distance)), "a row is not finite")
+    return run
 
 
 def linear_gradient() -> Tensor:

@@ -2,7 +2,7 @@
 inside and among objects, at infinity, grazing and far too strong.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from math import inf, nan, pi, sin
 from typing import Any
@@ -12,19 +12,20 @@ import torch
 from torch import Tensor
 
 from services.accuracy.placing import library, placed
-from services.accuracy.stability.case import Case, Measured, largest, need
+from services.accuracy.stability.case import Case, Measured, case, largest, need
+from services.accuracy.stability.geometry import FRONT
 from services.accuracy.stability.objects import ball
-from services.accuracy.stability.references import Lamps, expected
+from services.accuracy.stability.references import Expected, Lamps, expected
 from services.rendering.opengl.gbuffer import rasterise
 from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
 from services.rendering.torch_renderer.light import directions
 from services.rendering.torch_renderer.surfaces import WHOLE, visibility
 from services.scenes.description import Scene
-from services.scenes.mesh import FIT_RADIUS, Doubles, Part
+from services.scenes.mesh import FIT_RADIUS, Doubles, Longs, Part
 from services.scenes.resolve import ResolvedScene, resolve
 
-FRONT = {"azimuth": 0.0, "elevation": 0.0}
-"""The camera on +z; with an odd size the ray through the middle pixel meets the origin."""
+MIDDLE = np.array([16 * 33 + 16])
+"""The middle pixel of an image of 33²."""
 
 FORMULA = 2e-6
 """Relative error of a radiance: float32 positions and a dozen float32 products (measured: 5e-7)."""
@@ -33,6 +34,31 @@ FORMULA = 2e-6
 def _renderer(mesh: str = "primitive/sphere", ambient: float = 0.4) -> PyrenderRenderer:
     light = {"points": [{"energy": 30.0, "position": (0.0, 0.0, 3.0)}], "ambient": ambient}
     return PyrenderRenderer(placed(mesh, size=(33, 33), camera=FRONT, lights=light))
+
+
+def radiance_at(
+    renderer: PyrenderRenderer, pixels: Longs, light: Sequence[float] | None = None
+) -> tuple[Doubles, Doubles]:
+    """Radiance [P, 3] and opacity [P, 1] at `pixels` [P], under a `light` of the group's values; None: the scene's."""
+    parameters = {} if light is None else {"illumination": torch.tensor([light], dtype=torch.float64)}
+    values = renderer.radiance(parameters)[0].reshape(-1, 4)[pixels].double().numpy()
+    return values[:, :3], values[:, 3:]
+
+
+def formula_error(scene: ResolvedScene, reference: Expected, light: Sequence[float] | None = None) -> float:
+    """Largest error of radiance, relative to the brightest, and of displayed values under a `light` as `radiance_at`
+    has it, of both renderers."""
+    need(len(reference.pixels) > 50, f"only {len(reference.pixels)} pixels are flat")
+    brightest = float(reference.radiance.max())
+    need(brightest > 0, "the light does nothing by its formula")
+    renderer = PyrenderRenderer(scene)
+    parameters = {} if light is None else {"illumination": torch.tensor([light], dtype=torch.float64)}
+    worst = 0.0
+    for variant in (renderer, renderer.exact()):
+        radiance, _ = radiance_at(variant, reference.pixels, light)
+        shown = variant.render(parameters)[0].reshape(-1, 3)[reference.pixels].double().numpy()
+        worst = max(worst, largest(radiance - reference.radiance) / brightest, largest(shown - reference.shown))
+    return worst
 
 
 def _lit(renderer: PyrenderRenderer, energy: float, position: tuple[float, float, float]) -> Tensor:
@@ -77,7 +103,7 @@ def _on() -> Measured:
 
 
 def _against_formula(
-    mesh: str | tuple[Part, ...], lamps: Lamps, thing: dict[str, Any] | None = None, spread: float = 1.0
+    mesh: str | tuple[Part, ...], thing: dict[str, Any], lamps: Lamps, spread: float = 1.0
 ) -> Measured:
     """Compares radiance and displayed values under any light, where the surface is flat, with their formula.
 
@@ -89,26 +115,14 @@ def _against_formula(
         "spots": [{"inner_angle": inner, "outer_angle": outer} for inner, outer in lamps.spots[:, 7:]],
     }
     scene = placed(mesh, size=(33, 33), camera={"azimuth": 0.4, "elevation": 0.3}, thing=thing, lights=lights)
-    reference = expected(scene, lamps)
-    need(len(reference.pixels) > 100, f"only {len(reference.pixels)} pixels are flat")
-    brightest = float(reference.radiance.max())
-    need(brightest > 0, "the light does nothing by its formula")
-    renderer = PyrenderRenderer(scene)
     coordinates = [kind.copy() for kind in (lamps.points, lamps.suns, lamps.spots[:, :7])]
     for kind, unit in zip(coordinates, (30, 3, 30), strict=True):  # the group's units of energy
         kind[:, 0] /= unit
-    values = [lamps.ambient, *(value for kind in coordinates for value in kind.ravel())]
-    light = torch.tensor([values], dtype=torch.float64)
-    worst = 0.0
-    for variant in (renderer, renderer.exact()):
-        radiance = variant.radiance({"illumination": light})[0].reshape(-1, 4)[reference.pixels, :3].double().numpy()
-        shown = variant.render({"illumination": light})[0].reshape(-1, 3)[reference.pixels].double().numpy()
-        worst = max(worst, largest(radiance - reference.radiance) / brightest)
-        worst = max(worst, largest(shown - reference.shown))
-    what = (
-        f"largest error of radiance (relative to the brightest) and of displayed values; {len(reference.pixels)} pixels"
-    )
-    return Measured(worst, spread * FORMULA, what)
+    light = [lamps.ambient, *(value for kind in coordinates for value in kind.ravel())]
+    reference = expected(scene, lamps)
+    what = "largest error of radiance (relative to the brightest) and of displayed values"
+    what = f"{what}; {len(reference.pixels)} pixels"
+    return Measured(formula_error(scene, reference, light), spread * FORMULA, what)
 
 
 def _touching() -> Measured:
@@ -121,10 +135,7 @@ def _touching() -> Measured:
     pixels = (33 * np.arange(10, 23)[:, None] + np.arange(10, 13)).ravel()
     reference = expected(scene, Lamps(0.0, np.array([light])), pixels)
     need(len(reference.pixels) == len(pixels), "a pixel is not flat")
-    illumination = torch.tensor([[0.0, 1.0, *light[1:]]], dtype=torch.float64)
-    radiance = (
-        renderer.radiance({"illumination": illumination})[0].reshape(-1, 4)[reference.pixels, :3].double().numpy()
-    )
+    radiance, _ = radiance_at(renderer, reference.pixels, [0.0, 1.0, *light[1:]])
     error = largest(radiance / reference.radiance - 1)
     return Measured(error, 5 * FORMULA, "relative error of radiance, against the formula; the square lies in z = 0")
 
@@ -133,7 +144,7 @@ def _far(distance: float) -> Measured:
     """A far light is a parallel one, with the radiance of the formula."""
     energy = 30 * (distance / 3) ** 2
     lamp = np.array([[energy, 0.6 * distance, 0.3 * distance, 0.8 * distance]])
-    return _against_formula("primitive/cube", Lamps(0.1, lamp))
+    return _against_formula("primitive/cube", {}, Lamps(0.1, lamp))
 
 
 def _falls_off() -> Measured:
@@ -142,8 +153,7 @@ def _falls_off() -> Measured:
     renderer = _renderer("primitive/plane", ambient=0.0)
     worst = 0.0
     for energy, distance in ((1.0, 0.5), (4.0, 1.0), (16.0, 2.0), (1.0, 3.0)):
-        light = torch.tensor([[0.0, energy / 30, 0.0, 0.0, distance]], dtype=torch.float64)
-        radiance = renderer.radiance({"illumination": light})[0, 16, 16, :3].double()
+        radiance, _ = radiance_at(renderer, MIDDLE, [0.0, energy / 30, 0.0, 0.0, distance])
         reference = energy / distance**2 * (1 / pi + 0.04 / (4 * pi * 0.45**4))
         worst = max(worst, largest(radiance / reference - 1))
     return Measured(worst, FORMULA, "relative error of the middle's radiance at distances of 0.5 to 3, closed form")
@@ -153,8 +163,7 @@ def _sky(up: float) -> Measured:
     """Under the sky alone a white square that faces the camera at elevation `up` has 1 + sin(up) / 3 and its gloss."""
     camera = {"azimuth": 0.0, "elevation": up}
     scene = placed("primitive/plane", size=(33, 33), camera=camera, thing={"rotation": (-up, 0.0, 0.0)})
-    dark = torch.tensor([[0.7, 0.0, 0.0, 0.0, 3.0]], dtype=torch.float64)
-    radiance = PyrenderRenderer(scene).radiance({"illumination": dark})[0, 16, 16, :3].double()
+    radiance, _ = radiance_at(PyrenderRenderer(scene), MIDDLE, [0.7, 0.0, 0.0, 0.0, 3.0])
     reference = 0.7 * (1 + sin(up) / 3 + 0.04)
     return Measured(largest(radiance - reference), FORMULA, "error of the middle's radiance, closed form")
 
@@ -166,8 +175,7 @@ def _linear() -> Measured:
     renderer = _renderer("primitive/plane", ambient=0.0)
     worst = 0.0
     for energy in (1e-30, 1e6, 1.0):
-        light = torch.tensor([[0.0, energy, 1.0, 1.0, 3.0]], dtype=torch.float64)
-        radiance = renderer.radiance({"illumination": light})[0].reshape(-1, 4)[reference.pixels, :3].double().numpy()
+        radiance, _ = radiance_at(renderer, reference.pixels, [0.0, energy, 1.0, 1.0, 3.0])
         worst = max(worst, largest(radiance / energy / reference.radiance - 1))
     return Measured(worst, FORMULA, "relative error of radiance per energy, against the formula")
 
@@ -185,58 +193,41 @@ def _refused(energy: float, position: tuple[float, float, float]) -> Measured:
     return Measured(float(_lit(_renderer(), energy, position).max()), -1.0, "brightest displayed value")
 
 
-def light_cases() -> list[Case]:
+def light_cases() -> Iterator[Case]:
     """The cases of this family."""
     dark, formula = "as without the light", "radiance and image by the formula"
-    four = [[30.0, 1.2, 2.0, 1.5], [8.0, -1.0, 0.2, 0.9], [90.0, 0.3, -2.5, 3.0], [2.0, 0.1, 1.0, 0.6]]
+    points = [[30.0, 1.2, 2.0, 1.5], [8.0, -1.0, 0.2, 0.9], [90.0, 0.3, -2.5, 3.0], [2.0, 0.1, 1.0, 0.6]]
     suns = np.array([[2.0, -0.3, -1.0, -0.6], [1.0, 0.5, -0.2, -0.8]])
     spots = np.array(
         [[25.0, -1.0, 0.4, 1.5, 1.1, -0.3, -1.4, 0.1, 0.35], [40.0, 0.3, 1.6, 0.9, -0.5, -3.0, -1.5, 0.0, 0.5]]
     )
-    glossy = {"color": (0.8, 0.35, 0.05), "rotation": (0.5, -0.3, 0.2)}
+    four, all_kinds = Lamps(0.25, np.array(points)), Lamps(0.25, np.array(points[:1]), suns, spots)
+    low = Lamps(0.0, np.array([[30.0, 2.0, 0.1, 0.02]]))
+    colored: dict[str, Any] = {"color": (0.8, 0.35, 0.05)}
+    turned = ("primitive/cube", colored | {"rotation": (0.5, -0.3, 0.2)})
     refused = "the job ends, and says that its numbers are not finite"
-    return [
-        Case(
-            "four lights on a coloured cube",
-            "body, coat, sky and fall-off together",
-            formula,
-            lambda: _against_formula("primitive/cube", Lamps(0.25, np.array(four)), glossy),
-        ),
-        Case(
-            "suns and spots on a coloured cube",
-            "directions of any length; a cone's edge",
-            formula,
-            lambda: _against_formula("primitive/cube", Lamps(0.25, np.array(four[:1]), suns, spots), glossy, 3.0),
-        ),
-        Case(
-            "smooth normals on large faces",
-            "interpolated normals of length 0.9",
-            formula,
-            lambda: _against_formula(ball(0.6), Lamps(0.25, np.array(four)), {"color": (0.8, 0.35, 0.05)}, 5.0),
-        ),
-        Case(
-            "grazing light",
-            "0.5° above a square",
-            formula,
-            lambda: _against_formula("primitive/plane", Lamps(0.0, np.array([[30.0, 2.0, 0.1, 0.02]])), spread=10),
-        ),
-        Case("0.5 to 3 away", "1/d² from 4 to 1/9", "energy / d² and the gloss straight on", _falls_off),
-        Case("sky from above", "no other light", "1 + n_y / 3, and the gloss", lambda: _sky(1.2)),
-        Case("sky from below", "no other light", "1 + n_y / 3, and the gloss", lambda: _sky(-1.2)),
-        Case("in the object's centre", "d·n < 0 all over; v and l opposite", dark, lambda: _light_inside((0, 0, 0))),
-        Case("just below the surface", "1e-3 deep", dark, lambda: _light_inside((0, 0, FIT_RADIUS - 2e-3))),
-        Case("opposite the viewer", "v + l = 0: no half vector", dark, _opposite),
-        Case("on the surface", "1/d² without end, n·l = 0", dark, _on),
-        Case("1e-4 above the surface", "1/d² = 1e8", "white below it, else the formula", _touching, "clipped"),
-        Case("1e4 away", "energy 3e8", formula, lambda: _far(1e4)),
-        Case("1e15 away", "d² beyond float32's digits", formula, lambda: _far(1e15)),
-        Case("1e25 away", "its energy beyond float32", refused, lambda: _far(1e25), refusal="non-finite"),
-        Case("energy of 1e-30 to 1e6", "36 orders of magnitude", "radiance is linear, and the formula's", _linear),
-        Case("energy of 3e7", "10,000 times white", "held at white", _strong, "clipped"),
-        Case("infinite energy", "not a number", refused, lambda: _refused(inf, (0, 0, 3)), refusal="non-finite"),
-        Case("NaN position", "not a number", refused, lambda: _refused(1.0, (nan, 0, 3)), refusal="non-finite"),
-        Case("energy beyond float32", "1e39", refused, lambda: _refused(1e39, (0, 0, 3)), refusal="non-finite"),
-    ]
+    terms, cone = "body, coat, sky and fall-off together", "directions of any length; a cone's edge"
+    short = "interpolated normals of length 0.9"
+    yield case("four lights on a coloured cube", terms, formula, _against_formula, *turned, four)
+    yield case("suns and spots on a coloured cube", cone, formula, _against_formula, *turned, all_kinds, 3.0)
+    yield case("smooth normals on large faces", short, formula, _against_formula, ball(0.6), colored, four, 5.0)
+    yield case("grazing light", "0.5° above a square", formula, _against_formula, "primitive/plane", {}, low, 10.0)
+    yield case("0.5 to 3 away", "1/d² from 4 to 1/9", "energy / d² and the gloss straight on", _falls_off)
+    yield case("sky from above", "no other light", "1 + n_y / 3, and the gloss", _sky, 1.2)
+    yield case("sky from below", "no other light", "1 + n_y / 3, and the gloss", _sky, -1.2)
+    yield case("in the object's centre", "d·n < 0 all over; v and l opposite", dark, _light_inside, (0, 0, 0))
+    yield case("just below the surface", "1e-3 deep", dark, _light_inside, (0, 0, FIT_RADIUS - 2e-3))
+    yield case("opposite the viewer", "v + l = 0: no half vector", dark, _opposite)
+    yield case("on the surface", "1/d² without end, n·l = 0", dark, _on)
+    yield case("1e-4 above the surface", "1/d² = 1e8", "white below it, else the formula", _touching, held="clipped")
+    yield case("1e4 away", "energy 3e8", formula, _far, 1e4)
+    yield case("1e15 away", "d² beyond float32's digits", formula, _far, 1e15)
+    yield case("1e25 away", "its energy beyond float32", refused, _far, 1e25, refusal="non-finite")
+    yield case("energy of 1e-30 to 1e6", "36 orders of magnitude", "radiance is linear, and the formula's", _linear)
+    yield case("energy of 3e7", "10,000 times white", "held at white", _strong, held="clipped")
+    yield case("infinite energy", "not a number", refused, _refused, inf, (0, 0, 3), refusal="non-finite")
+    yield case("NaN position", "not a number", refused, _refused, 1.0, (nan, 0, 3), refusal="non-finite")
+    yield case("energy beyond float32", "1e39", refused, _refused, 1e39, (0, 0, 3), refusal="non-finite")
 
 
 Place = tuple[float, float, float]
@@ -373,41 +364,20 @@ def _texels() -> Measured:
     return Measured(wrong / compared, 0.0, f"share of {compared:,} pairs of pixel and texel that are wrong")
 
 
-def shadow_cases() -> list[Case]:
+def shadow_cases() -> Iterator[Case]:
     """The cases of this family."""
     shape = "dark or lit by the closed form"
     around = [((1.0, 0.4, 0.2), 0.2), ((-0.9, 0.4, 0.3), 0.2), ((0.2, 0.4, 1.1), 0.2), ((0.1, 1.6, 0.0), 0.2)]
-    return [
-        Case(
-            "a ball on the ground",
-            "contact: distance 0 to what it shades",
-            shape,
-            lambda: _balls([((0.0, 0.4, 0.0), 0.4)], (1.5, 2.5, 1.0)),
-        ),
-        Case(
-            "light 3° above the ground",
-            "depth changes 20 times as fast as place",
-            shape,
-            lambda: _balls([((-0.3, 0.3, 0.0), 0.3)], (3.5, 0.5, 0.4)),
-        ),
-        Case(
-            "light among the objects",
-            "inside their bounding sphere: six maps",
-            shape,
-            lambda: _balls(around, (0.1, 0.7, 0.0)),
-        ),
-        Case(
-            "an object moved out of the map",
-            "2 scene units from where it stood",
-            shape,
-            lambda: _balls([((-1.0, 0.5, 0.0), 0.3)], (3.0, 2.0, 0.5), move=2.0),
-        ),
-        Case(
-            "a light 1e5 away", "float32 rays alike", shape, lambda: _balls([((0.0, 0.5, 0.0), 0.4)], (8e4, 5e4, 3e4))
-        ),
-        Case("light inside an object", "nothing gets out", "no light", _shadow_inside),
-        Case("no occluder", "an empty map", "as without shadows", lambda: _nothing((1.0, 2.0, 1.0))),
-        Case("no occluder, grazing", "1° above it", "as without shadows", lambda: _nothing((3.0, 0.05, 0.3))),
-        Case("a ball alone", "its triangles graze the light", "as without shadows", _alone),
-        Case("every texel over the ground", "contact, 512 directions", shape, _texels),
-    ]
+    contact, steep = "contact: distance 0 to what it shades", "depth changes 20 times as fast as place"
+    among, away = "inside their bounding sphere: six maps", "2 scene units from where it stood"
+    standing, low, moving = [((0.0, 0.4, 0.0), 0.4)], [((-0.3, 0.3, 0.0), 0.3)], [((-1.0, 0.5, 0.0), 0.3)]
+    yield case("a ball on the ground", contact, shape, _balls, standing, (1.5, 2.5, 1.0))
+    yield case("light 3° above the ground", steep, shape, _balls, low, (3.5, 0.5, 0.4))
+    yield case("light among the objects", among, shape, _balls, around, (0.1, 0.7, 0.0))
+    yield case("an object moved out of the map", away, shape, _balls, moving, (3.0, 2.0, 0.5), move=2.0)
+    yield case("a light 1e5 away", "float32 rays alike", shape, _balls, [((0.0, 0.5, 0.0), 0.4)], (8e4, 5e4, 3e4))
+    yield case("light inside an object", "nothing gets out", "no light", _shadow_inside)
+    yield case("no occluder", "an empty map", "as without shadows", _nothing, (1.0, 2.0, 1.0))
+    yield case("no occluder, grazing", "1° above it", "as without shadows", _nothing, (3.0, 0.05, 0.3))
+    yield case("a ball alone", "its triangles graze the light", "as without shadows", _alone)
+    yield case("every texel over the ground", "contact, 512 directions", shape, _texels)

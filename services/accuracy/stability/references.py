@@ -183,9 +183,9 @@ def cast(scene: ResolvedScene, samples: int, pixels: Longs | None = None) -> Hit
                 normals[seen] = (weights[:, :, None] * own[face]).sum(axis=1)[seen]
                 a, b, c = corners[face[seen]].swapaxes(0, 1)
                 planes[seen] = np.cross(b - a, c - a)
-    planes = _unit_rays(planes * _sign(-planes, rays))
+    planes = _unit(planes * _sign(-planes, rays))
     positions = eye + np.where(np.isfinite(depth), depth, 0.0)[:, None] * rays
-    normals = _facing(normals, planes, _unit_rays(-rays))
+    normals = _facing(normals, planes, _unit(-rays))
     shape = (len(pixels), samples**2)
     vectors = [values.reshape(*shape, 3) for values in (positions, normals, colors, planes)]
     return Hits(vectors[0], vectors[1], vectors[2], vectors[3], depth.reshape(shape))
@@ -194,7 +194,7 @@ def cast(scene: ResolvedScene, samples: int, pixels: Longs | None = None) -> Hit
 def of_sphere(scene: ResolvedScene, radius: float) -> tuple[Doubles, Bools]:
     """Normals [P, 3] of a sphere about the origin where pixels' middle rays meet it, and which pixels, bool [H·W]:
     those well inside its outline."""
-    eye, rays = scene.view[:3, 3], _unit_rays(_rays(scene, 1, np.arange(np.prod(scene.description.camera.size))))
+    eye, rays = scene.view[:3, 3], _unit(_rays(scene, 1, np.arange(np.prod(scene.description.camera.size))))
     nearest = -rays @ eye
     miss = np.linalg.norm(eye + nearest[:, None] * rays, axis=1)
     seen = miss < 0.85 * radius
@@ -237,16 +237,20 @@ def _nearest(rays: Doubles, triangles: Doubles) -> tuple[Doubles, Longs, Doubles
 
 def _facing(normals: Doubles, planes: Doubles, to_eye: Doubles) -> Doubles:
     """Unit normals on the side from which the flat triangle is seen; one bent beyond the horizon is put on it."""
-    normals = _unit_rays(normals * _sign(normals, planes))
-    facing = (normals * to_eye).sum(axis=1, keepdims=True)
-    return np.where(facing < 0, _unit_rays(normals - facing * to_eye), normals)
+    normals = _unit(normals * _sign(normals, planes))
+    facing = _dot(normals, to_eye)
+    return np.where(facing < 0, _unit(normals - facing * to_eye), normals)
 
 
 def _sign(one: Doubles, other: Doubles) -> Doubles:
-    return np.where((one * other).sum(axis=1, keepdims=True) < 0, -1.0, 1.0)
+    return np.where(_dot(one, other) < 0, -1.0, 1.0)
 
 
-def _unit_rays(vectors: Doubles) -> Doubles:
+def _dot(one: Doubles, other: Doubles) -> Doubles:
+    return np.asarray((one * other).sum(axis=1, keepdims=True))
+
+
+def _unit(vectors: Doubles) -> Doubles:
     return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-300))
 
 
@@ -374,14 +378,6 @@ def _way(positions: Doubles, place: list[float]) -> tuple[Doubles, Doubles]:
     return distance, way / distance
 
 
-def _dot(one: Doubles, other: Doubles) -> Doubles:
-    return np.asarray((one * other).sum(axis=1, keepdims=True))
-
-
-def _unit(vectors: Doubles) -> Doubles:
-    return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
-
-
 SMOOTHEST = 0.04
 """The lowest roughness that is drawn."""
 
@@ -408,16 +404,16 @@ class Surface:
         normals = normals if self.normal is None else np.tile(self.normal, (len(positions), 1))
         base, rough = colors * self.texel, max(self.roughness, SMOOTHEST)
         body, f0 = 0.96 * (1 - self.metallic) * base, 0.04 * (1 - self.metallic) + self.metallic * base
-        to_eye = (eye - positions) / np.linalg.norm(eye - positions, axis=1, keepdims=True)
-        seen = _cosine(normals, to_eye)
+        to_eye = _unit(eye - positions)
+        seen = _dot(normals, to_eye)
         share = f0 + np.maximum(1 - rough - f0, 0) * (1 - seen) ** 5
         mean, mirrored = 1 + normals[:, 1:2] / 3, 1 + (2 * seen * normals - to_eye)[:, 1:2] / 2
         sky = (1 - share) * body * mean + share * (rough * mean + (1 - rough) * mirrored)
         total = np.array(self.emission) + lamps.ambient * self.occlusion * sky
         for facing_it, to_light in lamps.arriving(positions):
-            lit = np.maximum(_cosine(normals, to_light), 0.0)
-            half = (to_eye + to_light) / np.linalg.norm(to_eye + to_light, axis=1, keepdims=True)
-            cosine = np.clip(_cosine(normals, half), 1e-9, 1.0)
+            lit = np.maximum(_dot(normals, to_light), 0.0)
+            half = _unit(to_eye + to_light)
+            cosine = np.clip(_dot(normals, half), 1e-9, 1.0)
             slope2, alpha = (1 - cosine**2) / cosine**2, rough**2
             distribution = alpha**2 / (pi * cosine**4 * (alpha**2 + slope2) ** 2)
             k = (rough + 1) ** 2 / 8
@@ -427,10 +423,6 @@ class Surface:
                 tangents = [np.sqrt(1 / np.maximum(cos, 1e-9) ** 2 - 1) for cos in (seen, lit)]
                 beneath = sum((np.sqrt(1 + (alpha * tangent) ** 2) - 1) / 2 for tangent in tangents)
                 shadowing = 1 / (1 + beneath) / (seen * np.maximum(lit, 1e-9))
-            fresnel = f0 + (1 - f0) * (1 - _cosine(to_eye, half)) ** 5
+            fresnel = f0 + (1 - f0) * (1 - _dot(to_eye, half)) ** 5
             total = total + facing_it * lit * ((1 - fresnel) * body / pi + fresnel * distribution * shadowing / 4)
         return np.asarray(total)
-
-
-def _cosine(one: Doubles, other: Doubles) -> Doubles:
-    return np.asarray((one * other).sum(axis=1, keepdims=True))

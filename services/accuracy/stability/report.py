@@ -1,12 +1,12 @@
 """All stiff and extreme cases, one after another, and their results, as a page and as data."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict
 
-from services.accuracy.provenance import PACKAGES, backend
+from services.accuracy.provenance import Provenance
 from services.accuracy.stability import (
     attacks,
     geometry,
@@ -17,11 +17,10 @@ from services.accuracy.stability import (
     torch_light,
     torch_shading,
 )
-from services.accuracy.stability.case import Case, Observation, observe
-from services.accuracy.tables import small, table
-from services.process import versions
+from services.accuracy.stability.case import Case, Observation
+from services.accuracy.tables import rows_as_json, small, table
 
-FAMILIES: dict[str, Callable[[], list[Case]]] = {
+FAMILIES: dict[str, Callable[[], Iterator[Case]]] = {
     "lobes": torch_shading.lobe_cases,
     "normals": torch_shading.normal_cases,
     "environments": torch_light.environment_cases,
@@ -48,15 +47,6 @@ def cases(quick: bool = False) -> list[Case]:
     return [case for case in all_cases if not (quick and case.slow)]
 
 
-def run(chosen: Sequence[Case], on_case: Callable[[Case], None] = lambda _: None) -> list[Observation]:
-    """Runs the cases; `on_case` is called before each."""
-    observations = []
-    for case in chosen:
-        on_case(case)
-        observations.append(observe(case))
-    return observations
-
-
 WORDS = {
     "ok": "the property held",
     "flat": "nothing could be learnt, and the method said so",
@@ -71,53 +61,18 @@ class Report(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
 
-    command: str
-    seed: str
-    versions: dict[str, str]
-    backend: str
-    counts: dict[str, int]
+    measured: Provenance
     cases: list[Observation]
 
+    def count(self, outcome: str, family: str | None = None) -> int:
+        """The number of cases with an outcome, of a family or of all."""
+        return sum(row.outcome == outcome and family in (None, row.family) for row in self.cases)
+
     @property
-    def failed(self) -> list[Observation]:
-        """The cases that failed."""
-        return [row for row in self.cases if row.outcome == "failed"]
-
-
-def report(observations: Sequence[Observation], command: str) -> Report:
-    """Returns the observations with the data needed to reproduce them."""
-    return Report(
-        command=command,
-        seed="each case has its own, in its code",
-        versions=versions(*PACKAGES),
-        backend=backend(),
-        counts={word: sum(row.outcome == word for row in observations) for word in WORDS},
-        cases=list(observations),
-    )
-
-
-def markdown(found: Report) -> str:
-    """The page."""
-    counted = ", ".join(f"{count} {word}" for word, count in found.counts.items() if count or word == "failed")
-    lines = [
-        "# Stability",
-        "",
-        f"Stiff and extreme cases, each with a property that must hold: {len(found.cases)} cases, {counted}.",
-        "",
-        *(f"- *{word}*: {meaning}" for word, meaning in WORDS.items()),
-        "",
-        "*Measured* must be at most its *tolerance*; what it is, and what it was compared with, stands beside it.",
-        "Every case has been seen to fail with the product broken on purpose (`tests/unit/accuracy/sabotage.py` and",
-        "`mutants.py` list how).",
-    ]
-    for family in dict.fromkeys(row.family for row in found.cases):
-        rows = [row for row in found.cases if row.family == family]
-        lines += ["", f"## {family.capitalize()}", "", table(COLUMNS, rows)]
-    lines += ["", "## How to make this page again", "", "```sh", found.command, "```", ""]
-    lines += [f"{found.backend}; " + ", ".join(f"{name} {number}" for name, number in found.versions.items()) + "."]
-    lines += [f"Seeds: {found.seed}. Seconds are told so roughly that two runs on one machine give"]
-    lines += ["the same page."]
-    return "\n".join(lines) + "\n"
+    def families(self) -> dict[str, list[Observation]]:
+        """The cases by family."""
+        names = dict.fromkeys(row.family for row in self.cases)
+        return {name: [row for row in self.cases if row.family == name] for name in names}
 
 
 COLUMNS: dict[str, Callable[[Observation], str]] = {
@@ -128,12 +83,28 @@ COLUMNS: dict[str, Callable[[Observation], str]] = {
     "measured>": lambda row: small(row.measured),
     "tolerance>": lambda row: small(row.tolerance),
     "how it was seen": lambda row: row.what,
-    "seconds": lambda row: row.seconds,
 }
 
 
-def write(found: Report, folder: Path) -> None:
+def markdown(report: Report) -> str:
+    """The page."""
+    counts = {word: report.count(word) for word in WORDS}
+    counted = ", ".join(f"{count} {word}" for word, count in counts.items() if count or word == "failed")
+    sections = [
+        "# Stability",
+        f"Stiff and extreme cases, each with a property that must hold: {len(report.cases)} cases, {counted}.",
+        "\n".join(f"- *{word}*: {meaning}" for word, meaning in WORDS.items()),
+        "*Measured* must be at most its *tolerance*; what it is, and what it was compared with, stands beside it.\n"
+        "Every case has been seen to fail with the product broken on purpose (`tests/unit/accuracy/mutants.py`).",
+    ]
+    for family, rows in report.families.items():
+        sections += [f"## {family.capitalize()}", table(COLUMNS, rows)]
+    sections += ["## How to make this page again", f"{report.measured.words()}. Each case has its seed in its code."]
+    return "\n\n".join(sections) + "\n"
+
+
+def write(report: Report, folder: Path) -> None:
     """Writes `stability.md` and `stability.json` into the folder, which is created if necessary."""
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "stability.json").write_text(found.model_dump_json(indent=1) + "\n", "utf-8")
-    (folder / "stability.md").write_text(markdown(found), "utf-8")
+    (folder / "stability.json").write_text(rows_as_json(report.model_dump(mode="json")), "utf-8")
+    (folder / "stability.md").write_text(markdown(report), "utf-8")

@@ -2,7 +2,7 @@
 light and lobes by every way that a plan may choose: tables, kept factors, sums; loose and tight.
 """
 
-from functools import partial
+from collections.abc import Iterator
 from math import pi
 
 import numpy as np
@@ -10,9 +10,9 @@ import torch
 
 from services.accuracy.placing import TABLES, broad_sun, placed, sky, sun
 from services.accuracy.stability import references
-from services.accuracy.stability.case import Case, Measured, largest, need
+from services.accuracy.stability.case import Case, Measured, case, largest, need
 from services.accuracy.stability.references import of_sphere
-from services.accuracy.stability.torch_shading import EXACT, GRADIENT, SHARP, Shading, of_one_lobe
+from services.accuracy.stability.torch_shading import EXACT, SHARP, Shading, of_one_lobe
 from services.rendering.factory import build
 from services.rendering.plan import DEFAULT_TOLERANCE, Tolerance
 from services.rendering.protocol import Parameters
@@ -28,9 +28,7 @@ def _image_under(map_: Floats, kappa: float = 0.3, gamma: float = 1.0, clipped: 
     shading = Shading.of(placed(radiance=map_, size=TABLES))
     errors = shading.errors({"material": of_one_lobe(kappa, gamma)})
     need(not clipped or errors.clipped > 0, "nothing is beyond white by the definition")
-    return errors.within(
-        SHARP if gamma >= 1e3 else shading.due, "largest error of a displayed value, against the definition in float64"
-    )
+    return errors.within(SHARP if gamma >= 1e3 else shading.due)
 
 
 def _dark_map() -> Measured:
@@ -64,7 +62,7 @@ def _scale(factor: float) -> Measured:
     shading = Shading.of(placed(radiance=scaled))
     errors = shading.errors({})
     need(errors.clipped == 0, "it is beyond white")
-    return errors.within(shading.due, "largest error of a displayed value, against the definition in float64")
+    return errors.within(shading.due)
 
 
 def _from_file(row: int, column: int) -> Measured:
@@ -112,9 +110,7 @@ def _large(height: int, width: int) -> Measured:
     seen = average(large, 16, 32).astype(np.float64)
     need(bool(np.isfinite(seen).all()), "a texel is not finite")
     error = np.abs(seen - _block_means(large, 16, 32)) / seen
-    return Measured(
-        float(error.max()), 1e-6, "relative error of a texel, against means by solid angle written as loops"
-    )
+    return Measured(float(error.max()), 1e-6, "relative error of a texel, against means by solid angle")
 
 
 def _block_means(large: Floats, rows: int, cols: int) -> Doubles:
@@ -159,7 +155,7 @@ def _one_texel() -> Measured:
     """A map of one texel is one direction, −z, for the renderer: the shading that is defined so."""
     shading = Shading.of(placed(radiance=np.ones((1, 1, 3), np.float32), camera={"azimuth": 2.0}))
     errors = shading.errors({"material": of_one_lobe(0.3, 1.0)})
-    return errors.within(shading.due, "largest error of a displayed value, against the definition in float64")
+    return errors.within(shading.due)
 
 
 def _opposite() -> Measured:
@@ -172,61 +168,38 @@ def _opposite() -> Measured:
     errors = shading.errors(parameters)
     gradient, _ = shading.gradient(parameters, "normals")
     need(largest(gradient) > 0, "no normal has a gradient")
-    return errors.within(shading.due, "largest error of a displayed value, against the definition in float64")
+    return errors.within(shading.due)
 
 
-def environment_cases() -> list[Case]:
+def environment_cases() -> Iterator[Case]:
     """The cases of this family."""
     same = "the loop's image is within its tolerance, the exact image within rounding"
     inf, nan, refused = float("inf"), float("nan"), "a clear error names the map"
-    return [
-        Case("sun of 1e6 in a sky of 1", "one texel of 512", same, lambda: _image_under(sun(1e6, 1))),
-        Case("sun of 1e6 in darkness", "one lit texel", same, lambda: _image_under(sun(1e6, 0))),
-        Case(
-            "sun of 1e6 on a mirror",
-            "κ 100, γ 1e4 under one texel",
-            same,
-            lambda: _image_under(sun(1e6, 0), 100, 1e4, True),
-            "clipped",
-        ),
-        Case(
-            "a smaller sun of 1e6",
-            "a 32×64 map, one texel of 1e6",
-            same,
-            lambda: _image_under(sun(1e6, 1, 32, 64), 1, 50),
-        ),
-        Case("all-zero map", "no light, no scale", "black, finite, still attackable", _dark_map),
-        Case("constant map", "no contrast", "an even image of 0.9", _constant),
-        Case("map × 1e30", "squares beyond float32", "the scale is undone", lambda: _scale(1e30)),
-        Case("map × 1e-36", "squares below float32", "the scale is undone", lambda: _scale(1e-36)),
-        *(
-            Case(
-                f"pixel {column} of row {row} lit",
-                "a file with one lit pixel of 512",
-                "the sphere is lit from there",
-                partial(_from_file, row, column),
-            )
-            for row, column in ((2, 15), (5, 2), (8, 31), (12, 30))
-        ),
-        Case("1×1 map", "one direction", same, _one_texel),
-        Case("light opposite the viewer", "a half vector without direction", same, _opposite),
-        Case("+inf texel", "light without end", refused, lambda: _cleaned(inf), refusal="environment"),
-        Case("−inf texel", "less than nothing", refused, lambda: _cleaned(-inf), refusal="environment"),
-        Case("NaN texel", "not a number", refused, lambda: _cleaned(nan), refusal="environment"),
-        Case("negative texel", "ringing of a filter", "held at 0, all else stays", lambda: _cleaned(-3.0), "clipped"),
-        Case("1×1 source", "one texel for 8,192", "the same from everywhere", _one_texel_spread),
-        Case("512×256 source", "256 texels for one, a sun in one", "means by solid angle", lambda: _large(256, 512)),
-        Case(
-            "4096×2048 source",
-            "16,384 texels for one, a sun in one",
-            "means by solid angle",
-            lambda: _large(2048, 4096),
-            slow=True,
-        ),
-        Case("map turned by 2π", "a whole turn", "means by solid angle", lambda: _turned(224)),
-        Case("map turned by 0.7", "25 of 224 parts of a turn", "means by solid angle", lambda: _turned(25)),
-        Case("map turned by 1e-9", "a sliver of every texel", "means by solid angle", lambda: _turned(0, False)),
-    ]
+    means = "means by solid angle"
+    yield case("sun of 1e6 in a sky of 1", "one texel of 512", same, _image_under, sun(1e6, 1))
+    yield case("sun of 1e6 in darkness", "one lit texel", same, _image_under, sun(1e6, 0))
+    mirror = "κ 100, γ 1e4 under one texel"
+    yield case("sun of 1e6 on a mirror", mirror, same, _image_under, sun(1e6, 0), 100, 1e4, True, held="clipped")
+    yield case("a smaller sun of 1e6", "a 32×64 map, one texel of 1e6", same, _image_under, sun(1e6, 1, 32, 64), 1, 50)
+    yield case("all-zero map", "no light, no scale", "black, finite, still attackable", _dark_map)
+    yield case("constant map", "no contrast", "an even image of 0.9", _constant)
+    yield case("map × 1e30", "squares beyond float32", "the scale is undone", _scale, 1e30)
+    yield case("map × 1e-36", "squares below float32", "the scale is undone", _scale, 1e-36)
+    pixel, there = "a file with one lit pixel of 512", "the sphere is lit from there"
+    for row, column in ((2, 15), (5, 2), (8, 31), (12, 30)):
+        yield case(f"pixel {column} of row {row} lit", pixel, there, _from_file, row, column)
+    yield case("1×1 map", "one direction", same, _one_texel)
+    yield case("light opposite the viewer", "a half vector without direction", same, _opposite)
+    yield case("+inf texel", "light without end", refused, _cleaned, inf, refusal="environment")
+    yield case("−inf texel", "less than nothing", refused, _cleaned, -inf, refusal="environment")
+    yield case("NaN texel", "not a number", refused, _cleaned, nan, refusal="environment")
+    yield case("negative texel", "ringing of a filter", "held at 0, all else stays", _cleaned, -3.0, held="clipped")
+    yield case("1×1 source", "one texel for 8,192", "the same from everywhere", _one_texel_spread)
+    yield case("512×256 source", "256 texels for one, a sun in one", means, _large, 256, 512)
+    yield case("4096×2048 source", "16,384 texels for one, a sun in one", means, _large, 2048, 4096, slow=True)
+    yield case("map turned by 2π", "a whole turn", means, _turned, 224)
+    yield case("map turned by 0.7", "25 of 224 parts of a turn", means, _turned, 25)
+    yield case("map turned by 1e-9", "a sliver of every texel", means, _turned, 0, False)
 
 
 SHARPEST = "brushed-metal"
@@ -257,25 +230,22 @@ def _attacked(shading: Shading, group: str) -> Parameters:
     return {group: of_one_lobe(1e4, 1e5)}
 
 
-def _planned_image(radiance: Floats, group: str, moved: bool, tolerance: Tolerance = DEFAULT_TOLERANCE) -> Measured:
+def _planned_image(group: str, moved: bool, tolerance: Tolerance = DEFAULT_TOLERANCE) -> Measured:
+    # A plan sums a strong texel beside its table, so that light which the table holds has to be broad.
+    radiance = broad_sun() if group in ("normals", "material") else sun(1e6, 1.0)
     shading = _compiled(radiance, group, tolerance)
     plan = shading.renderer.plan
     need(plan.groups == (group,), f"the plan is for {plan.groups}")
     errors = shading.errors(_attacked(shading, group) if moved else {})
     need(errors.exact <= EXACT, f"the exact image is off by {errors.exact:.1e}")
-    need(
-        moved or errors.loop <= plan.error + EXACT,
-        f"an error of {errors.loop:.1e} where the plan says {plan.error:.1e}",
-    )
+    stated = f"the plan says {plan.error:.1e}"
+    need(moved or errors.loop <= plan.error + EXACT, f"an error of {errors.loop:.1e} where {stated}")
     limit = EXACT if tolerance == "exact" else tolerance
-    return Measured(
-        errors.loop, limit, f"largest error of a displayed value; the plan says {plan.error:.0e} at the start"
-    )
+    return Measured(errors.loop, limit, f"largest error of a displayed value; {stated} at the start")
 
 
 def _gradient(group: str) -> Measured:
-    error = _compiled(0.3 * sky(), group).gradient_error({}, group, 1e-2)
-    return Measured(error, GRADIENT, "relative error of the gradient, against differences of the definition")
+    return _compiled(0.3 * sky(), group).differentiated({}, group, 1e-2)
 
 
 def _look_up() -> Measured:
@@ -335,53 +305,40 @@ def _signs() -> Measured:
     return Measured(lost, LOST, f"share of a signed step's gain lost to wrong signs; the cosine is {aligned:.4f}")
 
 
-def _darkened(radiance: Floats) -> Measured:
+def _darkened() -> Measured:
     """All light is taken away by the attack, and the kept factors have nothing to do."""
-    shading = _compiled(radiance, "illumination")
+    shading = _compiled(sky(), "illumination")
     off = {"illumination": torch.zeros_like(shading.renderer.initial()["illumination"])}
     with torch.no_grad():
         image = shading.renderer.render({g: v[None] for g, v in off.items()})[0]
     gradient, _ = shading.gradient(off, "illumination")
-    need(bool((gradient[np.asarray(radiance).sum(axis=2) > 0] != 0).any()), "light cannot come back")
+    need(bool((gradient[sky().sum(axis=2) > 0] != 0).any()), "light cannot come back")
     full = shading.gbuffer.coverage == 1
     return Measured(largest(image[full]), 0.0, "brightest displayed value of a covered pixel")
 
 
-def plan_cases() -> list[Case]:
+def plan_cases() -> Iterator[Case]:
     """The cases of this family."""
     same = "within the tolerance; at the start within the plan's estimate"
     gradient = "the gradient is that of the definition"
-    cases = []
-    for group, word, map_, what in (
-        # A plan sums a strong texel beside its table, so that light which the table holds has to be broad.
-        ("normals", "broad sun", broad_sun(), "a hundred bright texels, in the table"),
-        ("illumination", "sun of 1e6", sun(1e6, 1.0), "one texel of 512 on metal"),
-        ("illumination_rgb", "sun of 1e6", sun(1e6, 1.0), "one texel of 512 on metal"),
-        ("material", "broad sun", broad_sun(), "a hundred bright texels, in the table"),
+    broad, texel = "a hundred bright texels, in the table", "one texel of 512 on metal"
+    for group, light, what in (
+        ("normals", "broad sun", broad),
+        ("illumination", "sun of 1e6", texel),
+        ("illumination_rgb", "sun of 1e6", texel),
+        ("material", "broad sun", broad),
     ):
-        own, far = partial(_planned_image, map_, group, False), partial(_planned_image, map_, group, True)
-        cases.append(Case(f"{group} only, {word}", what, same, own))
-        cases.append(Case(f"{group} only, moved far", "what the plan was not made for", same, far))
-    return [
-        *cases,
-        Case("table of a known function", "cells of 3°, poles", "third order, by its closed form", _look_up),
-        Case("normals only, gradient", "128 edges under a smooth table", "the signs that FGSM goes by", _signs),
-        *(
-            Case(f"{group} only, gradient", what, gradient, partial(_gradient, group))
-            for group, what in (
-                ("illumination", "128 texels at once"),
-                ("illumination_rgb", "384 values at once"),
-                ("material", "108 numbers at once"),
-            )
-        ),
-        Case("illumination only, off", "all light attacked away", "black, and can come back", lambda: _darkened(sky())),
-        *(
-            Case(
-                f"tolerance {tolerance}",
-                "normals attacked, on metal",
-                same,
-                partial(_planned_image, broad_sun(), "normals", True, tolerance),
-            )
-            for tolerance in ("exact", 1e-6, 1e-5, 1e-2, 0.1)
-        ),
-    ]
+        yield case(f"{group} only, {light}", what, same, _planned_image, group, False)
+        yield case(f"{group} only, moved far", "what the plan was not made for", same, _planned_image, group, True)
+    yield case("table of a known function", "cells of 3°, poles", "third order, by its closed form", _look_up)
+    yield case("normals only, gradient", "128 edges under a smooth table", "the signs that FGSM goes by", _signs)
+    for group, count in (
+        ("illumination", "128 texels"),
+        ("illumination_rgb", "384 values"),
+        ("material", "108 numbers"),
+    ):
+        yield case(f"{group} only, gradient", f"{count} at once", gradient, _gradient, group)
+    yield case("illumination only, off", "all light attacked away", "black, and can come back", _darkened)
+    for tolerance in ("exact", 1e-6, 1e-5, 1e-2, 0.1):
+        what = "normals attacked, on metal"
+        yield case(f"tolerance {tolerance}", what, same, _planned_image, "normals", True, tolerance)

@@ -2,9 +2,8 @@
 their angles, on the view axis, edge-on, and turned away.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from math import log, pi
 
 import numpy as np
@@ -13,7 +12,7 @@ from torch import Tensor
 
 from services.accuracy.placing import TABLES, placed, sky, sun
 from services.accuracy.stability import references
-from services.accuracy.stability.case import Case, Measured, largest, need
+from services.accuracy.stability.case import Case, Measured, case, largest, need
 from services.accuracy.stability.objects import linear_problem
 from services.rendering.factory import build
 from services.rendering.opengl.gbuffer import GBuffer, rasterise
@@ -46,6 +45,9 @@ LOOKED_AT = 400
 BRIGHTEST = 40
 
 
+DEFINED = "largest error of a displayed value, against the definition in float64"
+
+
 @dataclass(frozen=True)
 class Errors:
     """Largest error of a displayed value, in the loop's images and in the exact ones, against the definition.
@@ -57,10 +59,10 @@ class Errors:
     exact: float
     clipped: float
 
-    def within(self, limit: float, what: str) -> Measured:
+    def within(self, limit: float, remark: str = "") -> Measured:
         """The loop's error against its limit. Raises Broken where the exact image is off."""
         need(self.exact <= EXACT, f"the exact image is off by {self.exact:.1e}")
-        return Measured(self.loop, limit, what)
+        return Measured(self.loop, limit, f"{DEFINED}{remark}")
 
 
 @dataclass(frozen=True)
@@ -163,6 +165,11 @@ class Shading:
             worst = max(worst, abs(derivative - reference) / scale)
         return worst
 
+    def differentiated(self, parameters: Parameters, group: str, step: float, mask: Tensor | None = None) -> Measured:
+        """The error of the gradient, as `gradient_error` has it, against its limit."""
+        error = self.gradient_error(parameters, group, step, mask)
+        return Measured(error, GRADIENT, "relative error of the gradient, against differences of the definition")
+
     def _all(self, parameters: Parameters) -> Parameters:
         return self.renderer.initial() | parameters
 
@@ -181,12 +188,10 @@ def _lobe_image(
     """Compares an image under a map (None: a coloured sky). `white`: limits on the share of pixels clipped at white."""
     shading = Shading.of(placed(radiance=sky() if map_ is None else map_, size=TABLES))
     errors = shading.errors({"material": of_one_lobe(kappa, gamma)})
-    need(
-        white[0] <= errors.clipped <= white[1], f"{errors.clipped:.0%} of the pixels are beyond white by the definition"
-    )
-    shown = f"; {errors.clipped:.0%} of the pixels looked at held at white" if white[1] else ""
+    beyond = f"{errors.clipped:.0%} of the pixels"
+    need(white[0] <= errors.clipped <= white[1], f"{beyond} are beyond white by the definition")
     limit = SHARP if gamma >= 1e3 else shading.due
-    return errors.within(limit, f"largest error of a displayed value, against the definition in float64{shown}")
+    return errors.within(limit, f"; {beyond} looked at held at white" if white[1] else "")
 
 
 def _relative(shading: Shading, material: Tensor) -> Measured:
@@ -209,8 +214,7 @@ def _dark() -> Measured:
 
 def _gradient_of_lobes(kappa: float, gamma: float) -> Measured:
     shading = Shading.of(placed(radiance=0.2 * sky(), size=TABLES))
-    error = shading.gradient_error({"material": of_one_lobe(kappa, gamma)}, "material", 1e-3 * MATERIAL_UNIT)
-    return Measured(error, GRADIENT, "relative error of the gradient, against differences of the definition")
+    return shading.differentiated({"material": of_one_lobe(kappa, gamma)}, "material", 1e-3 * MATERIAL_UNIT)
 
 
 def _red(material: str, groups: tuple[str, ...] | None = None) -> Shading:
@@ -222,13 +226,12 @@ def _gloss(material: str) -> Measured:
     shading = _red(material)
     _, linear = shading.defined({})
     need(bool((linear[:, 2].max() > 0.01) == (material != "brushed-metal")), "blue light is reflected, or it is not")
-    return shading.errors({}).within(shading.due, "largest error of a displayed value, against the definition")
+    return shading.errors({}).within(shading.due)
 
 
 def _gloss_gradient(group: str) -> Measured:
     step = {"material": 1e-3 * MATERIAL_UNIT, "illumination_rgb": 1e-2}[group]
-    error = _red("glossy-paint", (group,)).gradient_error({}, group, step)
-    return Measured(error, GRADIENT, "relative error of the gradient, against differences of the definition")
+    return _red("glossy-paint", (group,)).differentiated({}, group, step)
 
 
 def _held(by: float) -> Measured:
@@ -249,57 +252,33 @@ def _held(by: float) -> Measured:
     if by < 0:
         return _relative(shading, material)
     need(0 < errors.clipped < 0.5, f"{errors.clipped:.0%} of the pixels are beyond white by the definition")
-    return errors.within(SHARP, "largest error of a displayed value at the bounds, against the definition")
+    return errors.within(SHARP)
 
 
-def lobe_cases() -> list[Case]:
+def lobe_cases() -> Iterator[Case]:
     """The cases of this family."""
     same = "the loop's image is within its tolerance, the exact image within rounding"
     gradient = "the gradient is that of the definition"
-    return [
-        Case(
-            "κ 1e4, γ 1",
-            "exp(1e4) overflows any float; one lit texel",
-            "white where the texel shines, black beyond its horizon",
-            lambda: _lobe_image(1e4, 1, (0.1, 0.9), np.roll(sun(1.0, 0.0), 8, axis=1)),
-            "clipped",
-        ),
-        Case(
-            "κ 1e4, γ 1e5",
-            "a mirror: nothing, and 0.3° further white",
-            same,
-            lambda: _lobe_image(1e4, 1e5, (0.01, 0.5)),
-            "clipped",
-        ),
-        Case("κ 0.5, γ 1e5", "a lobe of 0.3°, narrower than a texel", same, lambda: _lobe_image(0.5, 1e5)),
-        Case("κ 88, γ 1e3", "exp(88) is float32's largest", same, lambda: _lobe_image(88, 1e3, (0.1, 0.9)), "clipped"),
-        Case("κ 0.5, γ 300", "a glossy lobe, not clipped", same, lambda: _lobe_image(0.5, 300)),
-        Case("κ 0.3, γ 1e-3", "γ → 0: a Lambertian body", same, lambda: _lobe_image(0.3, 1e-3)),
-        Case("κ → 0", "exp(x) − 1 for x = 1e-6", "no digits are lost in the difference", _dark),
-        Case("gradient, κ 4, γ 300", "a steep lobe", gradient, lambda: _gradient_of_lobes(4, 300)),
-        Case("gradient, κ 0.3, γ 1", "a flat lobe", gradient, lambda: _gradient_of_lobes(0.3, 1)),
-        *(
-            Case(f"red {name}", "the body's colour has no blue", what, partial(_gloss, name))
-            for name, what in (
-                ("plastic", "the gloss has the light's colour"),
-                ("glossy-paint", "the gloss has the light's colour"),
-                ("brushed-metal", "all light has the metal's colour"),
-            )
-        ),
-        *(
-            Case(
-                f"gradient by {group}, red paint",
-                "two layers, one without colour",
-                gradient,
-                partial(_gloss_gradient, group),
-            )
-            for group in ("material", "illumination_rgb")
-        ),
-        *(
-            Case(name, "a step of η = 1e3 and more", "held at its bounds, and rendered", partial(_held, by), "clipped")
-            for name, by in (("material + 1e6", 1e6), ("material − 1e6", -1e6))
-        ),
-    ]
+    overflow, mirror = "exp(1e4) overflows any float; one lit texel", "a mirror: nothing, and 0.3° further white"
+    horizon, texel = "white where the texel shines, black beyond its horizon", np.roll(sun(1.0, 0.0), 8, axis=1)
+    yield case("κ 1e4, γ 1", overflow, horizon, _lobe_image, 1e4, 1, (0.1, 0.9), texel, held="clipped")
+    yield case("κ 1e4, γ 1e5", mirror, same, _lobe_image, 1e4, 1e5, (0.01, 0.5), held="clipped")
+    yield case("κ 0.5, γ 1e5", "a lobe of 0.3°, narrower than a texel", same, _lobe_image, 0.5, 1e5)
+    yield case("κ 88, γ 1e3", "exp(88) is float32's largest", same, _lobe_image, 88, 1e3, (0.1, 0.9), held="clipped")
+    yield case("κ 0.5, γ 300", "a glossy lobe, not clipped", same, _lobe_image, 0.5, 300)
+    yield case("κ 0.3, γ 1e-3", "γ → 0: a Lambertian body", same, _lobe_image, 0.3, 1e-3)
+    yield case("κ → 0", "exp(x) − 1 for x = 1e-6", "no digits are lost in the difference", _dark)
+    yield case("gradient, κ 4, γ 300", "a steep lobe", gradient, _gradient_of_lobes, 4, 300)
+    yield case("gradient, κ 0.3, γ 1", "a flat lobe", gradient, _gradient_of_lobes, 0.3, 1)
+    for name in ("plastic", "glossy-paint"):
+        yield case(f"red {name}", "the body's colour has no blue", "the gloss has the light's colour", _gloss, name)
+    metal = "all light has the metal's colour"
+    yield case("red brushed-metal", "the body's colour has no blue", metal, _gloss, "brushed-metal")
+    layers = "two layers, one without colour"
+    for group in ("material", "illumination_rgb"):
+        yield case(f"gradient by {group}, red paint", layers, gradient, _gloss_gradient, group)
+    for name, by in (("material + 1e6", 1e6), ("material − 1e6", -1e6)):
+        yield case(name, "a step of η = 1e3 and more", "held at its bounds, and rendered", _held, by, held="clipped")
 
 
 def _all_at(shading: Shading, azimuth: float, polar: float) -> Tensor:
@@ -311,16 +290,14 @@ def _image_of_normals(azimuth: float, polar: float, kappa: float = 1.0, gamma: f
     """An image whose normals all have these angles: the renderer is compiled for other ones."""
     shading = Shading.of(placed(radiance=sky(), size=TABLES))
     parameters = {"normals": _all_at(shading, azimuth, polar), "material": of_one_lobe(kappa, gamma)}
-    errors = shading.errors(parameters)
-    return errors.within(shading.due, "largest error of a displayed value, against the definition in float64")
+    return shading.errors(parameters).within(shading.due)
 
 
 def _gradient_of_normals(azimuth: float, polar: float) -> Measured:
     shading = Shading.of(placed(radiance=0.2 * sky()))
     parameters = {"normals": _all_at(shading, azimuth, polar), "material": of_one_lobe(0.3, 1.0)}
     covered = (shading.gbuffer.coverage > 0)[..., None].expand(-1, -1, 2)
-    error = shading.gradient_error(parameters, "normals", 1e-4, covered)
-    return Measured(error, GRADIENT, "relative error of the gradient, against differences of the definition")
+    return shading.differentiated(parameters, "normals", 1e-4, covered)
 
 
 def _pole(polar: float) -> Measured:
@@ -381,40 +358,23 @@ def _edge_on() -> Measured:
     )
 
 
-def normal_cases() -> list[Case]:
+def normal_cases() -> Iterator[Case]:
     """The cases of this family."""
     same = "the loop's image is within its tolerance, the exact image within rounding"
     right, away = "the gradient is that of the definition", pi
-    return [
-        Case("upper pole", "polar angle 0", same, lambda: _image_of_normals(0.0, 0.0)),
-        Case("lower pole", "polar angle π", same, lambda: _image_of_normals(0.0, pi)),
-        Case(
-            "azimuth at the upper pole",
-            "an angle without meaning",
-            "it moves nothing and has no gradient",
-            lambda: _pole(0.0),
-        ),
-        Case(
-            "azimuth at the lower pole",
-            "an angle without meaning",
-            "it moves nothing and has no gradient",
-            lambda: _pole(pi),
-        ),
-        Case("gradient beside the pole", "polar angle 1e-3", right, lambda: _gradient_of_normals(0.7, 1e-3)),
-        Case("view axis", "n = v exactly, where θ_h and θ_d meet", same, lambda: _image_of_normals(0.0, pi / 2)),
-        Case("gradient on the view axis", "n = v exactly", right, lambda: _gradient_of_normals(0.0, pi / 2)),
-        Case("grazing", "n·v = 1e-6", same, lambda: _image_of_normals(pi / 2 - 1e-6, pi / 2)),
-        Case("gradient when grazing", "n·v = 1e-3", right, lambda: _gradient_of_normals(pi / 2 - 1e-3, 1.2)),
-        Case("back-facing", "n = −v: n·h is never positive", same, lambda: _image_of_normals(away, pi / 2, 0.3, 0.05)),
-        Case(
-            "back-facing, oblique",
-            "n·v = −0.5, lit from behind",
-            same,
-            lambda: _image_of_normals(2 * pi / 3, pi / 2, 0.3, 1.0),
-        ),
-        Case(
-            "angles of 1e3", "160 turns: float32 has 6e-5 radians left", same, lambda: _image_of_normals(1000.0, 1000.0)
-        ),
-        Case("vector to angles and back", "axes, poles, ±π", "the same vector comes back", _there_and_back),
-        Case("edge-on square", "0.6° from edge-on", "unit normals towards the viewer", _edge_on),
-    ]
+    idle, meaningless = "it moves nothing and has no gradient", "an angle without meaning"
+    oblique = "n·v = −0.5, lit from behind"
+    yield case("upper pole", "polar angle 0", same, _image_of_normals, 0.0, 0.0)
+    yield case("lower pole", "polar angle π", same, _image_of_normals, 0.0, pi)
+    yield case("azimuth at the upper pole", meaningless, idle, _pole, 0.0)
+    yield case("azimuth at the lower pole", meaningless, idle, _pole, pi)
+    yield case("gradient beside the pole", "polar angle 1e-3", right, _gradient_of_normals, 0.7, 1e-3)
+    yield case("view axis", "n = v exactly, where θ_h and θ_d meet", same, _image_of_normals, 0.0, pi / 2)
+    yield case("gradient on the view axis", "n = v exactly", right, _gradient_of_normals, 0.0, pi / 2)
+    yield case("grazing", "n·v = 1e-6", same, _image_of_normals, pi / 2 - 1e-6, pi / 2)
+    yield case("gradient when grazing", "n·v = 1e-3", right, _gradient_of_normals, pi / 2 - 1e-3, 1.2)
+    yield case("back-facing", "n = −v: n·h is never positive", same, _image_of_normals, away, pi / 2, 0.3, 0.05)
+    yield case("back-facing, oblique", oblique, same, _image_of_normals, 2 * pi / 3, pi / 2, 0.3, 1.0)
+    yield case("angles of 1e3", "160 turns: float32 has 6e-5 radians left", same, _image_of_normals, 1000.0, 1000.0)
+    yield case("vector to angles and back", "axes, poles, ±π", "the same vector comes back", _there_and_back)
+    yield case("edge-on square", "0.6° from edge-on", "unit normals towards the viewer", _edge_on)

@@ -1,13 +1,14 @@
-"""Ways of shading one object: the sum in each type of number, and the plan of each tolerance. Errors, and seconds with
-their spread, on a machine that does other things too.
+"""Ways of shading one object: the sum in each type of number, and the plan of each tolerance. Errors, and median
+seconds.
 """
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from statistics import median
 from time import perf_counter
+from typing import NamedTuple
 
-import numpy as np
 import torch
 from pydantic import BaseModel, ConfigDict, Field
 from torch import Tensor
@@ -34,26 +35,13 @@ LEAST, MOST = 5, 15
 LONG = 1.0
 
 
-class Times(BaseModel):
-    """Seconds over several repeats after one that warms up."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    shortest: float
-    lower: float = Field(description="first quartile")
-    median: float
-    upper: float = Field(description="third quartile")
-    repeats: int
-
-
-def repeated(work: Callable[[], object], enough: float) -> Times:
-    """Times of LEAST to MOST repeats, as many as fit into `enough` seconds. Warm up before."""
+def repeated(work: Callable[[], object], enough: float) -> float:
+    """Median seconds of LEAST to MOST repeats, as many as fit into `enough` seconds. Warm up before."""
     seconds = [_seconds(work)]
     least = LEAST if seconds[0] < LONG else 3
     while len(seconds) < least or (len(seconds) < MOST and sum(seconds) < enough):
         seconds.append(_seconds(work))
-    lower, median, upper = (float(value) for value in np.quantile(seconds, (0.25, 0.5, 0.75)))
-    return Times(shortest=min(seconds), lower=lower, median=median, upper=upper, repeats=len(seconds))
+    return median(seconds)
 
 
 def _seconds(work: Callable[[], object]) -> float:
@@ -225,21 +213,15 @@ class ShadingRow(BaseModel):
     mesh: str
     material: str
     size: tuple[int, int] = Field(description="of the image, height and width")
-    pixels: int = Field(description="that the object covers")
     map: tuple[int, int] = Field(description="rows and columns of the environment map")
-    method: str = Field(description="sum or plan")
     groups: tuple[str, ...] = Field(description="attacked; the others keep their values and have no gradient")
     dtype: str
     kernel: str
-    rows: int | None = Field(None, description="of the table over normals; null: none")
-    per_pixel_texels: int = Field(0, description="texels of the map summed at the pixels beside the table")
-    tolerance: Tolerance | None = Field(None, description="of the plan; null: a sum")
+    tolerance: Tolerance | None = Field(description="of the plan; null: a sum")
     estimate: float | None = Field(None, description="the plan's estimate of the largest error")
     largest: float | None = Field(None, description="largest error of the image; null: the method failed")
-    rms: float | None = Field(None, description="root mean square error of the image")
     gradient: dict[str, float] = Field(default_factory=dict, description="relative error (L2) of each group's gradient")
-    forward: Times | None = Field(None, description="seconds of an image")
-    both: Times | None = Field(None, description="seconds of an image and its gradient")
+    seconds: float | None = Field(None, description="median, of an image and its gradient")
     note: str = Field("", description="what went wrong; empty: nothing")
 
     @property
@@ -249,24 +231,23 @@ class ShadingRow(BaseModel):
 
 
 def rows(of: Subject, enough: float) -> Iterator[ShadingRow]:
-    """Every method on a subject, for about `enough` seconds for each time that is taken."""
+    """Every method on a subject, each for about `enough` seconds."""
     truths = {groups: truth(of, groups) for groups in dict.fromkeys(method.groups for method in methods())}
     for method in methods():
         yield row(method, of, truths[method.groups], enough)
 
 
-@dataclass(frozen=True)
-class Truth:
-    """Image [P, 3] and gradients of a subject in float64, with the groups that are not attacked at their start."""
+class Shaded(NamedTuple):
+    """An image [P, 3] and the gradient of its weighted sum for each attacked group, as float64."""
 
     image: Tensor
     gradients: dict[str, Tensor]
 
 
-def truth(of: Subject, groups: tuple[str, ...]) -> Truth:
+def truth(of: Subject, groups: tuple[str, ...]) -> Shaded:
     """Computes image and gradients by the sum over every direction and lobe, in float64."""
     recipe = exact_recipe(of.sky)
-    return Truth(*derived(of, Shader(recipe, of.sky, of.surface, of.intensity), values_of(of, groups), groups))
+    return derived(of, Shader(recipe, of.sky, of.surface, of.intensity), values_of(of, groups), groups)
 
 
 def values_of(of: Subject, groups: tuple[str, ...]) -> dict[str, Tensor]:
@@ -275,26 +256,22 @@ def values_of(of: Subject, groups: tuple[str, ...]) -> dict[str, Tensor]:
     return {group: of.moved[group] if group in groups else own[group] for group in GROUPS}
 
 
-def derived(
-    of: Subject, shader: Shader, values: dict[str, Tensor], groups: tuple[str, ...]
-) -> tuple[Tensor, dict[str, Tensor]]:
-    """The image [P, 3] and the gradient of its weighted sum for each of `groups`, as float64."""
+def derived(of: Subject, shader: Shader, values: dict[str, Tensor], groups: tuple[str, ...]) -> Shaded:
+    """The image of `values`, and its gradients for each of `groups`."""
     dtype = shader.recipe.dtype
     leaves = {g: v.to(dtype).detach().requires_grad_(g in groups) for g, v in values.items()}
     image = of.image(shader, leaves)
     gradients = torch.autograd.grad(of.value(image), [leaves[group] for group in groups])
-    return image.detach().double(), {g: s.double() for g, s in zip(groups, gradients, strict=True)}
+    return Shaded(image.detach().double(), {g: s.double() for g, s in zip(groups, gradients, strict=True)})
 
 
-def row(method: ShadingMethod, of: Subject, reference: Truth, enough: float) -> ShadingRow:
-    """A method measured on a subject, for about `enough` seconds for each time taken. An error becomes a note."""
+def row(method: ShadingMethod, of: Subject, reference: Shaded, enough: float) -> ShadingRow:
+    """A method measured on a subject, for about `enough` seconds. An error becomes a note."""
     known = ShadingRow(
         mesh=of.mesh,
         material=of.material,
         size=of.size,
-        pixels=len(of.surface.angles),
         map=of.map,
-        method="sum" if method.tolerance is None else "plan",
         groups=method.groups,
         dtype=str(method.dtype).removeprefix("torch."),
         kernel=method.kernel,
@@ -307,33 +284,22 @@ def row(method: ShadingMethod, of: Subject, reference: Truth, enough: float) -> 
         return known.model_copy(update={"note": f"{type(error).__name__}: {str(error).splitlines()[0]}"})
 
 
-def _measured(method: ShadingMethod, of: Subject, reference: Truth, enough: float) -> dict[str, object]:
+def _measured(method: ShadingMethod, of: Subject, reference: Shaded, enough: float) -> dict[str, object]:
     recipe, estimate = method.recipe(of)
     shader = Shader(recipe, of.sky, of.surface, of.intensity)
     values = values_of(of, method.groups)
     image, gradients = derived(of, shader, values, method.groups)  # warms up, too
-    off = (image - reference.image).abs()
-    narrow = {group: value.to(recipe.dtype) for group, value in values.items()}
-
-    def forward() -> None:
-        with torch.no_grad():
-            of.image(shader, narrow)
-
-    largest = float(off.max())
+    largest = float((image - reference.image).abs().max())
     limit = method.tolerance if isinstance(method.tolerance, float) else WANTED
     notes = [f"misses {limit:.0e}"] if not largest <= limit else []  # NaN misses too
     if shader.summed_after_all:
         notes.append("checked, and summed pixel by pixel after all")
     return {
         "dtype": str(recipe.dtype).removeprefix("torch."),
-        "rows": recipe.rows,
-        "per_pixel_texels": len(recipe.per_pixel_texels),
         "estimate": estimate,
         "largest": largest,
-        "rms": float(off.square().mean().sqrt()),
         "gradient": {g: relative(gradients[g], reference.gradients[g]) for g in method.groups},
-        "forward": repeated(forward, enough),
-        "both": repeated(lambda: derived(of, shader, values, method.groups), enough),
+        "seconds": repeated(lambda: derived(of, shader, values, method.groups), enough),
         "note": "; ".join(notes),
     }
 

@@ -1,24 +1,27 @@
-"""Ways to break scores, goals, attacks and seeds, each as a function of pytest's monkeypatch."""
+"""Ways to break scores, goals, gradients, steps and seeds."""
+
+from dataclasses import replace
 
 import torch
 
 from services.accuracy.stability import attacks, networks
+from services.attacks import differences, goal, limits, problem, run, zoo
 from services.attacks import differences as attack_differences
-from services.attacks import goal, limits, run
 from services.attacks.differences import Estimate
 from services.attacks.fgsm import Fgsm
+from services.attacks.goal import ResolvedGoal
+from services.attacks.problem import AttackProblem
+from services.attacks.zoo import Zoo
 from services.rendering import color
 from services.targets.classifier import Classifier
+from tests.unit.accuracy.damage import breaks
 
 
-def odds_of_probabilities(patch) -> None:
+@breaks("log_odds", goal)
+def odds_of_probabilities(_, scores, labels):
     """Log-odds from the softmax: the dead zone of a certain network."""
-
-    def log_odds(scores, labels):
-        p = torch.softmax(scores, dim=-1)[..., labels[0]]
-        return torch.log(p / (1 - p))
-
-    patch.setattr(goal, "log_odds", log_odds)
+    p = torch.softmax(scores, dim=-1)[..., labels[0]]
+    return torch.log(p / (1 - p))
 
 
 def no_odds(patch) -> None:
@@ -35,57 +38,41 @@ def narrow_odds(patch) -> None:
     patch.setattr(goal, "log_odds", lambda scores, labels: true(scores, labels).to(scores.dtype))
 
 
-def ties_by_value(patch) -> None:
+@breaks("fooled", goal.ResolvedGoal)
+def ties_by_value(_, self, scores):
     """Fooled where another score is as large."""
-
-    def fooled(self, scores):
-        (label,) = self.labels
-        others = scores.scatter(-1, torch.full((*scores.shape[:-1], 1), label), -torch.inf)
-        return scores[..., label] <= others.amax(-1)
-
-    patch.setattr(goal.ResolvedGoal, "fooled", fooled)
+    (label,) = self.labels
+    others = scores.scatter(-1, torch.full((*scores.shape[:-1], 1), label), -torch.inf)
+    return scores[..., label] <= others.amax(-1)
 
 
 def any_number_of_labels(patch) -> None:
     patch.setattr(goal, "_several", lambda *_: None)
 
 
-def never_flat(patch) -> None:
+@breaks("estimate", attacks, attack_differences)
+def never_flat(true, *given):
     """Differences of rounding are taken for gradients; the way between the sides is always said to be 2δ and more."""
-    true = attacks.estimate
-
-    def estimate(*given):
-        found = true(*given[:-1], -1.0)
-        return Estimate(1.3 * found.gradients + 1e-3, torch.zeros_like(found.below_noise))
-
-    for module in (attacks, attack_differences):
-        patch.setattr(module, "estimate", estimate)
+    found = true(*given[:-1], -1.0)
+    return Estimate(1.3 * found.gradients + 1e-3, torch.zeros_like(found.below_noise))
 
 
 def no_bounds(patch) -> None:
     patch.setattr(limits.Limits, "clamp", lambda _, deltas: deltas)
 
 
-def drifting(patch) -> None:
+@breaks("step", Fgsm)
+def drifting(true, self, *given):
     """Every step goes a little further than it should, and none is reported flat."""
-    true = Fgsm.step
-
-    def step(self, *given):
-        state = true(self, *given)
-        return state | {"delta": state["delta"] * 1.01 + 1e-3, "below_noise": torch.tensor(0)}
-
-    patch.setattr(Fgsm, "step", step)
+    state = true(self, *given)
+    return state | {"delta": state["delta"] * 1.01 + 1e-3, "below_noise": torch.tensor(0)}
 
 
-def runaway(patch) -> None:
+@breaks("step", Fgsm)
+def runaway(true, self, *given):
     """Steps that grow without end."""
-    true = Fgsm.step
-
-    def step(self, *given):
-        state = true(self, *given)
-        return state | {"delta": state["delta"] * torch.inf}
-
-    patch.setattr(Fgsm, "step", step)
+    state = true(self, *given)
+    return state | {"delta": state["delta"] * torch.inf}
 
 
 def silent(patch) -> None:
@@ -98,23 +85,16 @@ def exact_limit(patch) -> None:
     patch.setattr(limits, "ROUNDING", 0.0)
 
 
-def no_limit(patch) -> None:
+@breaks("truncate", limits)
+def no_limit(true, images, original, limit):
     """Nothing is held back at U."""
-    true = limits.truncate
-
-    def truncate(images, original, limit):
-        return images, true(images, original, limit)[1]
-
-    patch.setattr(limits, "truncate", truncate)
+    return images, true(images, original, limit)[1]
 
 
-def narrow_rounding(patch) -> None:
+@breaks("as_saved", networks)
+def narrow_rounding(_, images):
     """Images are rounded to 8 bits in their own type."""
-
-    def as_saved(images):
-        return color.from_bytes((images.clamp(0, 1) * 255).round().to(torch.uint8))
-
-    patch.setattr(networks, "as_saved", as_saved)
+    return color.from_bytes((images.clamp(0, 1) * 255).round().to(torch.uint8))
 
 
 def narrow_scores(patch) -> None:
@@ -130,3 +110,115 @@ def short_seeds(patch) -> None:
 
 def any_seed(patch) -> None:
     patch.setattr(networks, "Seed", int)
+
+
+def estimates(change):
+    """Breaks every estimate of a gradient by differences: `change`(true, problem, at, coordinates, deltas, noise)."""
+
+    def apply(patch) -> None:
+        true = differences.estimate
+        for module in (attacks, differences):
+            patch.setattr(module, "estimate", lambda *given: change(true, *given))
+
+    return apply
+
+
+def _one_sided(_, problem, at, coordinates, half_steps, noise):
+    moved = at.repeat(len(coordinates) + 1, 1)
+    moved[torch.arange(len(coordinates)), coordinates] += half_steps.to(moved.dtype)
+    scores = problem.objectives(moved)
+    change = scores[:-1] - scores[-1]
+    below_noise = change.abs() <= noise
+    return Estimate(torch.where(below_noise, 0.0, change / half_steps), below_noise)
+
+
+def _scaled(true, *given):
+    found = true(*given)
+    return replace(found, gradients=2 * found.gradients)
+
+
+one_sided_differences = estimates(_one_sided)
+differences_over_one_step = estimates(_scaled)
+
+
+def negative_weight(patch) -> None:
+    """λ rewards large changes."""
+    true = AttackProblem.penalty
+    patch.setattr(AttackProblem, "penalty", lambda self, images: -true(self, images))
+
+
+def weight_of_distance(patch) -> None:
+    """λ times the length of the change, not its square."""
+    true = problem.distances
+    patch.setattr(problem, "distances", lambda *given: true(*given).sqrt())
+
+
+@breaks("truncate", limits)
+def gradient_through_held_pixels(true, images, original, limit):
+    held, which = true(images, original, limit)
+    return images + (held - images).detach(), which
+
+
+@breaks("truncate", limits)
+def truncated_around_grey(true, images, original, limit):
+    return true(images, torch.full_like(original, 0.5), limit)
+
+
+def twice_the_limit(patch) -> None:
+    true = limits.truncate
+    patch.setattr(limits, "truncate", lambda images, original, limit: true(images, original, limit and 2 * limit))
+
+
+def settings(**changed):
+    """Breaks FGSM by ignoring settings."""
+
+    def apply(patch) -> None:
+        true = Fgsm.step
+        patch.setattr(Fgsm, "step", lambda self, *given: true(self.model_copy(update=changed), *given))
+
+    return apply
+
+
+no_momentum = settings(momentum=0.0)
+no_decay = settings(weight_decay=0.0)
+
+
+@breaks("step", Fgsm)
+def cut_velocity(true, self, problem, state, evaluation):
+    """What bounds take from a step they take from the momentum too."""
+    after = true(self, problem, state, evaluation)
+    rates = problem.layout.spread(self.learning_rate).clamp_min(1e-9)
+    return after | {"velocity": ((state["delta"] - after["delta"]) / rates).to(after["velocity"].dtype)}
+
+
+def uphill(patch) -> None:
+    """The objective's sign."""
+    true = ResolvedGoal.objective
+    patch.setattr(ResolvedGoal, "objective", lambda self, logits: -true(self, logits))
+
+
+def negative_advantage(patch) -> None:
+    true = goal.advantage
+    patch.setattr(goal, "advantage", lambda logits, label: -true(logits, label))
+
+
+def hinged_advantage(patch) -> None:
+    """The advantage stops at 0, as the paper's loss does."""
+    true = goal.advantage
+    patch.setattr(goal, "advantage", lambda logits, label: true(logits, label).clamp_min(0))
+
+
+@breaks("init", Zoo)
+def no_bias_correction(true, self, problem):
+    """Adam's moments count as if there had been a million steps."""
+    state = true(self, problem)
+    return state | {"moves": state["moves"] + 10**6}
+
+
+def swapped_betas(patch) -> None:
+    patch.setattr(zoo, "BETAS", zoo.BETAS[::-1])
+
+
+def unmeasured_step(patch) -> None:
+    """The difference step is not measured."""
+    patch.setattr(differences, "measure_half_steps", lambda problem, *_: dict.fromkeys(problem.layout.groups, 1e-4))

@@ -1,15 +1,16 @@
-"""Ways to break views, meshes and point lights, each as a function of pytest's monkeypatch."""
+"""Ways to break views, meshes, point lights and whole images."""
 
 from dataclasses import replace
 
 import numpy as np
 import torch
 
-from services.accuracy.stability import geometry, meshes, pyrender_light, torch_shading
+from services.accuracy.stability import attacks, geometry, meshes, pyrender_light, torch_shading
 from services.attacks import problem
 from services.rendering.pyrender_renderer import renderer as pyrender_renderer
 from services.scenes import resolve
 from services.scenes.reading import normals, surfaces
+from tests.unit.accuracy.damage import breaks
 
 
 def shifted_frames(patch) -> None:
@@ -25,15 +26,11 @@ def shifted_frames(patch) -> None:
         patch.setattr(module, "rasterise", rasterise)
 
 
-def long_normals(patch) -> None:
+@breaks("rasterise", torch_shading)
+def long_normals(true, scene):
     """Normals that are not of length 1."""
-    true = torch_shading.rasterise
-
-    def rasterise(scene):
-        seen = true(scene)
-        return replace(seen, normals=1.1 * seen.normals)
-
-    patch.setattr(torch_shading, "rasterise", rasterise)
+    seen = true(scene)
+    return replace(seen, normals=1.1 * seen.normals)
 
 
 def anything_in_view(patch) -> None:
@@ -46,16 +43,12 @@ def kept_faces(patch) -> None:
     patch.setattr(normals, "usable_faces", lambda _, faces, __: np.arange(len(faces)))
 
 
-def fitted_by_mean(patch) -> None:
+@breaks("fitted", surfaces)
+def fitted_by_mean(true, parts):
     """Meshes are moved so that the mean of their vertices is in the middle."""
-    true = surfaces.fitted
-
-    def fitted(parts):
-        found = true(parts)
-        middle = np.concatenate([part.vertices for part in found]).mean(axis=0)
-        return tuple(replace(part, vertices=part.vertices - middle) for part in found)
-
-    patch.setattr(surfaces, "fitted", fitted)
+    found = true(parts)
+    middle = np.concatenate([part.vertices for part in found]).mean(axis=0)
+    return tuple(replace(part, vertices=part.vertices - middle) for part in found)
 
 
 def no_orientation(patch) -> None:
@@ -68,16 +61,12 @@ def no_weld(patch) -> None:
     patch.setattr(normals, "weld", lambda vertices: np.arange(len(vertices)))
 
 
-def lost_duplicates(patch) -> None:
+@breaks("usable_faces", normals)
+def lost_duplicates(true, vertices, faces, points):
     """None of several equal triangles is kept."""
-    true = normals.usable_faces
-
-    def without_repeated(vertices, faces, points):
-        kept = true(vertices, faces, points)
-        _, where, count = np.unique(np.sort(points[faces], axis=1), axis=0, return_inverse=True, return_counts=True)
-        return kept[count[where.ravel()][kept] == 1]
-
-    patch.setattr(normals, "usable_faces", without_repeated)
+    kept = true(vertices, faces, points)
+    _, where, count = np.unique(np.sort(points[faces], axis=1), axis=0, return_inverse=True, return_counts=True)
+    return kept[count[where.ravel()][kept] == 1]
 
 
 def narrow_range(patch) -> None:
@@ -91,24 +80,16 @@ def float32_files(patch) -> None:
     patch.setattr(meshes, "as_obj", lambda v, f: true(v.astype(np.float32).astype(np.float64), f))
 
 
-def lost_faces(patch) -> None:
+@breaks("read_mesh", meshes)
+def lost_faces(true, *given):
     """The last tenth of a file's triangles is not read, nor those wound inwards."""
-    true = meshes.read_mesh
-
-    def read_mesh(*given):
-        parts = true(*given)
-        kept = []
-        for part in parts:
-            corners = part.vertices[part.faces]
-            outwards = (np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) * corners[:, 0]).sum(
-                1
-            ) > 0
-            kept.append(
-                replace(part, faces=part.faces[outwards & (np.arange(len(part.faces)) < 0.9 * len(part.faces))])
-            )
-        return tuple(kept)
-
-    patch.setattr(meshes, "read_mesh", read_mesh)
+    parts = true(*given)
+    kept = []
+    for part in parts:
+        corners = part.vertices[part.faces]
+        outwards = (np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) * corners[:, 0]).sum(1) > 0
+        kept.append(replace(part, faces=part.faces[outwards & (np.arange(len(part.faces)) < 0.9 * len(part.faces))]))
+    return tuple(kept)
 
 
 def any_file(patch) -> None:
@@ -138,3 +119,44 @@ def stray_light(patch) -> None:
             return 0.5 * super().render(parameters) + 1e-2 * stray.float()[:, None, None, None]
 
     patch.setattr(pyrender_light, "PyrenderRenderer", Stray)
+
+
+BUILDERS = (torch_shading, geometry, attacks, meshes)
+"""Modules that make renderers."""
+
+
+class Damaged:
+    """A renderer whose images go through `change`(image, parameters)."""
+
+    def __init__(self, renderer, change) -> None:
+        self._renderer, self._change = renderer, change
+
+    def __getattr__(self, name):
+        return getattr(self._renderer, name)
+
+    def render(self, parameters):
+        return self._change(self._renderer.render(parameters), parameters)
+
+    def exact(self):
+        return Damaged(self._renderer.exact(), self._change)
+
+
+def images(change):
+    """Breaks every renderer that a case makes."""
+
+    def apply(patch) -> None:
+        for module in BUILDERS:
+            true = module.build
+            patch.setattr(module, "build", lambda *given, true=true, **named: Damaged(true(*given, **named), change))
+
+    return apply
+
+
+lighter_images = images(lambda image, _: (image + 0.01).clamp_max(1))
+moved_by_parameters = images(lambda image, given: image + 1e-3 * sum(bool(v.abs().max() > 50) for v in given.values()))
+eight_bit_images = images(
+    lambda image, given: image.bfloat16().float() if any(v.dtype == torch.bfloat16 for v in given.values()) else image
+)
+
+
+grainy_images = images(lambda image, _: image if image.shape[1] == 64 else image + 0.01)

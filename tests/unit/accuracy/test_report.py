@@ -10,8 +10,8 @@ from typer.testing import CliRunner
 
 from client.cli import app
 from services.accuracy.stability import report as stability
-from services.accuracy.stability.case import Case, Measured, band, need, observe
-from services.accuracy.stability.report import WORDS, Report, markdown
+from services.accuracy.stability.case import Case, Measured, need, observe
+from services.accuracy.stability.report import Report, markdown
 from services.errors import InvalidRequest, JobFailure
 
 COMMITTED = Path(__file__).parents[3] / "docs" / "accuracy"
@@ -55,10 +55,6 @@ def test_the_reason_of_a_failure_is_kept() -> None:
     assert (seen.outcome, seen.what) == ("failed", "the image is blue")
 
 
-def test_seconds_are_told_roughly() -> None:
-    assert [band(s) for s in (0.01, 9.0, 99.0, 500.0)] == ["< 10", "< 10", "< 100", "≥ 100"]
-
-
 def test_the_command_ends_with_1_and_the_reason_when_a_case_fails(tmp_path, monkeypatch) -> None:
     good = [made for made in stability.cases() if made.family == "logits"][:3]
     bad = replace(good[0], name="a bad one", measure=lambda: need(False, "the reason"))
@@ -68,7 +64,7 @@ def test_the_command_ends_with_1_and_the_reason_when_a_case_fails(tmp_path, monk
         assert done.exit_code == code
         found = json.loads((tmp_path / "stability.json").read_text())
         assert json.loads(done.stdout) == found
-        assert found["counts"]["failed"] == code
+        assert sum(row["outcome"] == "failed" for row in found["cases"]) == code
         assert ("a bad one: the reason" in done.stderr) == bool(code)
         assert ("**failed**" in (tmp_path / "stability.md").read_text()) == bool(code)
 
@@ -78,6 +74,4 @@ def test_the_committed_report_has_every_case_and_none_failed() -> None:
     found = Report.model_validate_json(text)
     wanted = [(made.family, made.name, made.stiff, made.must, made.outcome) for made in stability.cases()]
     assert [(row.family, row.name, row.stiff, row.must, row.outcome) for row in found.cases] == wanted
-    assert len(wanted) >= 40
-    assert found.counts == {word: sum(row[4] == word for row in wanted) for word in WORDS}
     assert (COMMITTED / "stability.md").read_text("utf-8") == markdown(found)

@@ -1,7 +1,6 @@
 """What the work-precision report claims, on a small extent that is measured once; a claim of shading fails where its
 method is broken."""
 
-import csv
 import dataclasses
 from itertools import pairwise, product
 from pathlib import Path
@@ -12,7 +11,6 @@ from torch import Tensor
 
 from services.accuracy.placing import placed
 from services.accuracy.work_precision import scene_options, shading
-from services.accuracy.work_precision.attacks import success_rows
 from services.accuracy.work_precision.report import PARTS, QUICK, Report, measure, read
 from services.accuracy.work_precision.shading import (
     GROUPS,
@@ -20,7 +18,6 @@ from services.accuracy.work_precision.shading import (
     ShadingRow,
     Subject,
     kernel,
-    repeated,
     subject,
     truth,
 )
@@ -74,19 +71,13 @@ def test_the_report_says_everything(measured: Measured) -> None:
     headings = [line for line in page.splitlines() if line.startswith("## ")]
     assert headings == [
         *("## Which tolerance", "## Plans", "## Types of number", "## Resolution of the environment map"),
-        *("## Resolution of shadows", "## Surfaces, floor and shadows", "## Signs that FGSM takes"),
+        *("## Resolution of shadows", "## Surfaces, floor and shadows"),
         *("## Work to a verified adversary", "## What is left out", "## How to make this page again"),
     ]
     for above, below in pairwise(headings):
         section = page[page.index(above) : page.index(below)]
         assert ("\n| :---" in section) == (above not in ("## Which tolerance", "## What is left out")), above
-    assert f"`a command`, {made.measured['maps'].when}, " in page
-    rows = list(csv.DictReader((folder / "work-precision.csv").read_text("utf-8").splitlines()))
-    assert len(rows) == sum(len(getattr(made, part)) for part in PARTS) + len(list(success_rows(made.attacks)))
-    first = next(row for row in rows if row["part"] == "shading")
-    assert made.shading[0].both is not None
-    assert float(first["both.median"]) == made.shading[0].both.median
-    assert first["groups"] == "normals illumination material"
+    assert f"`a command`, {made.measured['maps'].when}; load: " in page
 
 
 # Shading
@@ -113,7 +104,7 @@ def test_the_subject_is_the_renderers_scene(small: Subject) -> None:
 
 def test_sums_in_float32_are_off_by_rounding_alone(rows: list[ShadingRow]) -> None:
     """A hundred roundings of float32 at most, in the compiled loops and in torch."""
-    sums = [row for row in rows if row.method == "sum" and row.dtype == "float32"]
+    sums = [row for row in rows if row.tolerance is None and row.dtype == "float32"]
     assert {row.kernel for row in sums} == {"native", "torch"}
     for row in sums:
         assert row.largest is not None
@@ -128,7 +119,7 @@ def test_bfloat16_misses_and_says_so(rows: list[ShadingRow]) -> None:
 
 
 def test_plans_hold_what_they_promise(rows: list[ShadingRow]) -> None:
-    plans = [row for row in rows if row.method == "plan"]
+    plans = [row for row in rows if row.tolerance is not None]
     assert len(plans) == 32
     for row in plans:
         limit = 1e-12 if row.tolerance == "exact" else row.estimate
@@ -187,12 +178,6 @@ def test_what_a_method_raises_becomes_a_note(small: Subject, monkeypatch: pytest
     assert found.largest is None
 
 
-def test_times_have_a_spread() -> None:
-    times = repeated(lambda: sum(range(1000)), 0.0)
-    assert times.repeats == 5
-    assert 0 < times.shortest <= times.lower <= times.median <= times.upper
-
-
 # A scene's options
 
 
@@ -209,27 +194,12 @@ def test_each_scene_has_one_more_option() -> None:
 def test_every_scene_is_measured_with_both_renderers_within_every_tolerance(measured: Measured) -> None:
     rows = measured.report.scenes
     wanted = list(product(NAMES, ("pyrender", "torch"), scene_options.TOLERANCES))
-    assert [(row.scene, row.renderer, row.tolerance) for row in rows] == wanted
-    for row in rows:
-        if row.tolerance == "exact":
+    assert [(row.scene, row.renderer) for row in rows] == [pair[:2] for pair in wanted]
+    for row, (*_, tolerance) in zip(rows, wanted, strict=True):
+        if tolerance == "exact":
             assert row.largest == 0
             continue
-        assert row.mean <= row.tolerance
+        assert row.mean <= tolerance
         if row.renderer == "torch":
-            assert 0 < row.largest <= row.estimate <= row.tolerance
-    height, width = TINY.scene
-    assert {row.pixels for row in rows if row.scene == "shadows"} == {height * width}  # the floor fills the image
-
-
-# Signs
-
-
-def test_signs_through_the_network_are_lost_by_rounding_not_by_the_plan(measured: Measured) -> None:
-    """Exactly and without rounding only the network's float32 is left. Within 1e-3, a quarter of a step of 8 bits, the
-    plan loses less than the 8 bits do."""
-    found = measured.report.signs
-    weight = {(row.group, row.tolerance, row.image): row.wrong_weight for row in found}
-    assert len(weight) == len(found) == 3 * 4 * 2
-    for group in GROUPS:
-        assert weight[group, "exact", "unrounded"] < 1e-3
-        assert weight[group, 1e-3, "unrounded"] < weight[group, "exact", "8 bit"] < 0.5
+            assert row.estimate is not None
+            assert 0 < row.largest <= row.estimate <= tolerance

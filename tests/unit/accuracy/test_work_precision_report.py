@@ -7,13 +7,11 @@ from typer.testing import CliRunner
 
 from client.cli import app
 from services.accuracy.work_precision import scene_options
-from services.accuracy.work_precision.report import QUICK, Report, data, markdown, measure, read
-from services.accuracy.work_precision.scene_options import MapRow, ShadowRow
+from services.accuracy.work_precision.report import QUICK, Report, markdown, measure, read
+from services.accuracy.work_precision.scene_options import OptionRow
 
-MAP = MapRow(mesh="m", material="matte", map=(4, 8), reference=(64, 128), pixels=1, largest=0.5, rms=0.5)
-SHADOW = ShadowRow(
-    scene="s", renderer="torch", fineness="1×1", reference="8×8", pixels=1, mean=0.25, largest=0.5, seconds=1.0
-)
+MAP = OptionRow(scene="matte", renderer="torch", setting="4×8 texels", mean=0.25, share=0.5, largest=0.5, seconds=1.0)
+SHADOW = MAP.model_copy(update={"scene": "s", "setting": "texel_samples 1"})
 
 
 def test_a_part_measured_alone_replaces_its_rows_and_no_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -50,7 +48,7 @@ def test_the_command_measures_a_part_into_the_report_that_is_there(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(scene_options, "map_rows", lambda *_: iter([MAP]))
-    (tmp_path / "work-precision.json").write_text(data(Report(shadows=[SHADOW])), "utf-8")
+    (tmp_path / "work-precision.json").write_text(Report(shadows=[SHADOW]).model_dump_json(), "utf-8")
     command = ["accuracy", "work-precision", "--quick", "--out", str(tmp_path), "--only", "maps"]
     assert CliRunner().invoke(app, command).exit_code == 0
     made = read(tmp_path)

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from benchmarks.gltf_models import MODELS, Writer, checks, sphere
+from benchmarks.gltf_models import MODELS, checks, sphere
+from services.accuracy.stability.gltf_file import Writer
 from services.errors import InvalidRequest
 from services.scenes.library import Library
 from services.scenes.mesh import FIT_RADIUS, MetallicRoughness, Part

@@ -9,7 +9,8 @@ import pytest
 import torch
 
 from benchmarks.gltf_materials import LIMIT, REASONS, View, difference, ours, stock
-from benchmarks.gltf_models import MODELS, Writer, checks
+from benchmarks.gltf_models import MODELS, checks
+from services.accuracy.stability.gltf_file import Writer
 from services.rendering.opengl.gbuffer import rasterise
 from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
 from services.rendering.torch_renderer.renderer import TorchRenderer
