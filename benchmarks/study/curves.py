@@ -1,33 +1,29 @@
 """The curves of the study: successes against work over all cases, and the paper's mean curves, as SVG.
 
-A figure has panels side by side under one legend. The same data give the same text. It stands on a white card of its
-own, so that it can be read on pages with a dark background too.
+A figure has panels side by side under one legend. The same data give the same text.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from html import escape
-from math import ceil, floor, log10
+from io import StringIO
+
+import matplotlib as mpl
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from benchmarks.study.record import Record
 from benchmarks.study.tables import attacks, title
+from services.analysis.campaign_figure import COLOURS, PANEL, STYLE
 from services.analysis.campaign_table import Cell, Corners, MeanCurves, corners
 
-COLOURS = ("#4a2fd6", "#c2410c", "#0b6b3a", "#b0206a", "#0a5a94", "#7a5c00")
-"""Colours of the series, in order; on white each has a contrast of at least 4.5."""
-INK, SOFT, LINE, CARD = "#1c1930", "#5d5875", "#e2deef", "#ffffff"
-WIDTH, HEIGHT = 300, 190
-"""Size of a panel's plotting area, in SVG units."""
-LEFT, RIGHT, TOP, BOTTOM, LEGEND = 52, 18, 34, 46, 34
-"""Margins of a panel, and the height of the legend."""
-FONT = "font-family:system-ui,-apple-system,'Segoe UI',Roboto,'DejaVu Sans',sans-serif"
-CHARACTER = 6.6
-"""Mean width of a character of the legend."""
+AS_TEXT = {"svg.fonttype": "none", "svg.hashsalt": "study"}
+"""Settings of an SVG: words as text, and names of its parts that are the same every time."""
 
 
 @dataclass(frozen=True)
 class Series:
-    """A line through points (x, y); as steps if `steps`: y holds from its x to the next."""
+    """A line through points (x, y); as steps if `steps`: y holds from its x to the next, the last one to the end."""
 
     name: str
     points: Sequence[tuple[float, float]]
@@ -52,93 +48,27 @@ class Panel:
 def figure(panels: Sequence[Panel], names: Sequence[str]) -> str:
     """The panels side by side as an SVG. `names` are those of the series in the order of the legend and colours."""
     colour = dict(zip(names, COLOURS, strict=False))
-    wide, high = len(panels) * (LEFT + WIDTH + RIGHT), TOP + HEIGHT + BOTTOM + LEGEND
-    about = "; ".join(panel.title for panel in panels)
-    parts = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {wide} {high}" width="{wide}" role="img" '
-        f'aria-label="{escape(about)}" style="{FONT};font-size:11px">',
-        f'<rect width="{wide}" height="{high}" rx="10" fill="{CARD}"/>',
-        *_legend(names, colour),
-    ]
-    for index, panel in enumerate(panels):
-        left = index * (LEFT + WIDTH + RIGHT) + LEFT
-        parts.append(f'<g transform="translate({left} {LEGEND + TOP})">')
-        parts += _panel(panel, colour)
-        parts.append("</g>")
-    return "\n".join([*parts, "</svg>"]) + "\n"
+    text = StringIO()
+    with mpl.rc_context(STYLE | AS_TEXT):
+        drawn = Figure(figsize=(PANEL[0] * len(panels), PANEL[1]), layout="constrained")
+        for axes, panel in zip(drawn.subplots(1, len(panels), squeeze=False)[0], panels, strict=True):
+            _draw(axes, panel, colour)
+        handles = [Line2D([], [], color=colour[name], label=name) for name in names]
+        drawn.legend(handles=handles, loc="outside upper left", ncols=len(names), frameon=False)
+        drawn.savefig(text, format="svg", metadata={"Date": None, "Creator": None})
+    return text.getvalue()
 
 
-def _legend(names: Sequence[str], colour: dict[str, str]) -> Iterable[str]:
-    x = float(LEFT)
-    for name in names:
-        yield f'<line x1="{x:.1f}" x2="{x + 18:.1f}" y1="20" y2="20" stroke="{colour[name]}" stroke-width="3"/>'
-        yield f'<text x="{x + 24:.1f}" y="24" fill="{INK}" font-size="12">{escape(name)}</text>'
-        x += 24 + CHARACTER * len(name) + 22
-
-
-def _panel(panel: Panel, colour: dict[str, str]) -> Iterable[str]:
-    def at(x: float, y: float) -> tuple[float, float]:
-        return _place(x, panel.x, panel.logarithmic) * WIDTH, HEIGHT - _place(y, panel.y, False) * HEIGHT
-
-    yield f'<text x="0" y="-14" fill="{INK}" font-size="13" font-weight="600">{escape(panel.title)}</text>'
-    for value in _ticks(panel.y):
-        y = at(panel.x[0], value)[1]
-        yield f'<line x1="0" x2="{WIDTH}" y1="{y:.1f}" y2="{y:.1f}" stroke="{LINE}"/>'
-        yield f'<text x="-7" y="{y + 4:.1f}" fill="{SOFT}" text-anchor="end">{value:g}</text>'
-    for value in _powers(panel.x) if panel.logarithmic else _ticks(panel.x):
-        x = at(value, panel.y[0])[0]
-        yield f'<line x1="{x:.1f}" x2="{x:.1f}" y1="{HEIGHT}" y2="{HEIGHT + 4}" stroke="{SOFT}"/>'
-        yield f'<text x="{x:.1f}" y="{HEIGHT + 17}" fill="{SOFT}" text-anchor="middle">{value:,g}</text>'
-    for value in panel.lines:
-        x = at(value, panel.y[0])[0]
-        yield f'<line x1="{x:.1f}" x2="{x:.1f}" y1="0" y2="{HEIGHT}" stroke="{SOFT}" stroke-dasharray="3 3"/>'
-    yield f'<text x="{WIDTH / 2}" y="{HEIGHT + 36}" fill="{SOFT}" text-anchor="middle">{escape(panel.x_label)}</text>'
-    yield (
-        f'<text transform="translate(-38 {HEIGHT / 2}) rotate(-90)" fill="{SOFT}" text-anchor="middle">'
-        f"{escape(panel.y_label)}</text>"
-    )
+def _draw(axes: Axes, panel: Panel, colour: Mapping[str, str]) -> None:
     for series in panel.series:
-        places = [at(*point) for point in _within(series, panel)]
-        path = " ".join(f"{'M' if not i else 'L'}{x:.1f} {y:.1f}" for i, (x, y) in enumerate(places))
-        yield (
-            f'<path d="{path}" fill="none" stroke="{colour[series.name]}" stroke-width="2.2" stroke-linejoin="round" '
-            f'stroke-linecap="round"><title>{escape(series.name)}</title></path>'
-        )
-
-
-def _within(series: Series, panel: Panel) -> list[tuple[float, float]]:
-    """The points between the ends of the x axis, with the corners of steps; the last value holds to the end."""
-    inside = [(max(x, panel.x[0]), y) for x, y in series.points if x <= panel.x[1]]
-    if not series.steps:
-        return inside
-    corners: list[tuple[float, float]] = []
-    for x, y in inside:
-        corners += [(x, corners[-1][1]), (x, y)] if corners else [(x, y)]
-    return [*corners, (panel.x[1], corners[-1][1])] if corners else []
-
-
-def _place(value: float, ends: tuple[float, float], logarithmic: bool) -> float:
-    """Position of a value between the ends of an axis, in [0,1]."""
-    low, high, value = (log10(v) if logarithmic else v for v in (*ends, value))
-    return min(1.0, max(0.0, (value - low) / (high - low)))
-
-
-def _ticks(ends: tuple[float, float], most: int = 5) -> list[float]:
-    """At most `most` + 1 round values between the ends."""
-    low, high = ends
-    least = (high - low) / most
-    power = 10.0 ** floor(log10(least))
-    step = next(factor * power for factor in (1.0, 2.0, 2.5, 5.0, 10.0) if factor * power >= least * (1 - 1e-9))
-    first, last = ceil(low / step - 1e-9), floor(high / step + 1e-9)
-    return [round(number * step, 10) for number in range(first, last + 1)]
-
-
-def _powers(ends: tuple[float, float]) -> list[float]:
-    """The powers of ten between the ends, with 2 and 5 times them if there are few."""
-    low, high = ends
-    decades = range(floor(log10(low)), ceil(log10(high)) + 1)
-    factors = (1.0,) if len(decades) > 4 else (1.0, 3.0) if len(decades) > 3 else (1.0, 2.0, 5.0)
-    return [f * 10.0**d for d in decades for f in factors if low * (1 - 1e-9) <= f * 10.0**d <= high * (1 + 1e-9)]
+        end = [(panel.x[1], series.points[-1][1])] if series.steps and series.points else []
+        x, y = zip(*series.points, *end, strict=True) if series.points else ((), ())
+        axes.plot(x, y, color=colour[series.name], drawstyle="steps-post" if series.steps else "default")
+    for value in panel.lines:
+        axes.axvline(value, color="grey", linestyle="--", linewidth=1)
+    axes.set(title=panel.title, xlabel=panel.x_label, ylabel=panel.y_label, xlim=panel.x, ylim=panel.y)
+    if panel.logarithmic:
+        axes.set_xscale("log")
 
 
 def differentiable(record: Record, target: str) -> str:
@@ -201,7 +131,7 @@ def _success(cells: Sequence[Cell], name: str, unit: str, reached: Mapping[str, 
     ends, label = (0.0, 1.05 * largest), unit
     if start:
         ends, label = (start, max(largest * 1.1, 10 * start)), f"{unit} (logarithmic)"
-    return Panel(name, label, "verified, % of all cases", lines, ends, (0, 100), logarithmic=start > 0)
+    return Panel(name, label, "verified, % of all cases", lines, ends, (0, 102), logarithmic=start > 0)
 
 
 def _mean(curves: Sequence[MeanCurves], name: str, unit: str, of: str, ends: tuple[float, float]) -> Panel:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 from matplotlib.axes import Axes
@@ -14,6 +15,7 @@ COLOURS = ("#4a2fd6", "#0a5a94", "#0b6b3a", "#b26a00", "#a3182f", "#8b1a86", "#5
 """Colours of the attacks, in the order of the table: those of the dashboard on a white page."""
 PANEL = (4.2, 3.2)
 """Width and height of one panel, inches."""
+STYLE: dict[Any, Any] = {"font.size": 8, "axes.grid": True, "grid.alpha": 0.3}
 
 
 def draw(table: Table, curves: Sequence[MeanCurves], path: Path) -> None:
@@ -21,7 +23,7 @@ def draw(table: Table, curves: Sequence[MeanCurves], path: Path) -> None:
 
     Of a campaign that attacks no view, the row is empty.
     """
-    with mpl.rc_context({"font.size": 8, "axes.grid": True, "grid.alpha": 0.3}):
+    with mpl.rc_context(STYLE):
         rows, columns = max(1, len(table.targets)), 2 + len(LABELS)
         figure = Figure(figsize=(PANEL[0] * columns, PANEL[1] * rows), layout="constrained")
         axes = figure.subplots(rows, columns, squeeze=False)
