@@ -9,8 +9,9 @@ The end of the file writes a campaign as text: its table and its cases as CSV, a
 import csv
 import io
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from statistics import stdev
 from typing import Any
 
@@ -381,18 +382,7 @@ def part_means(attributions: Sequence[tuple[str, str, Mapping[str, Any]]]) -> li
 COUNTS = ("jobs", "ended", "failed", "cancelled", "reused", "held_within_epsilon")
 RATES = ("success", "loop_success")
 OUTCOMES = ("fooled", "changed", "became-right", "still-wrong", "held")
-_OF_CASE = (
-    "state",
-    "right",
-    "outcome",
-    "epsilon_bound",
-    "success",
-    "loop_success",
-    "perceptibility",
-    "loop_perceptibility",
-    "truncated",
-)
-_WORK = ("queries", "seconds", "run_seconds", "reused")
+_OF_CASE = tuple(name for name in Case.model_fields if name not in ("target", "attack"))
 _TEX = {
     "\\": r"\textbackslash{}",
     "~": r"\textasciitilde{}",
@@ -403,42 +393,45 @@ _TEX = {
 
 def to_csv(table: Table) -> str:
     """One line for each target and attack; rates and their intervals in [0,1], p in full range; empty where unknown."""
-    out = io.StringIO()
-    rates = [f"{name}{part}" for name in RATES for part in ("_count", "_of", "_rate", "_low", "_high")]
-    lines = csv.writer(out, lineterminator="\n")
+    rates = [f"{name}_{part}" for name in RATES for part in Rate.model_fields]
     means = ("perceptibility", "loop_perceptibility", "truncated")
-    lines.writerow(["campaign", "target", "attack", *COUNTS, *OUTCOMES, *rates, *means])
-    for cell in table.cells:
-        lines.writerow([plain(value) for value in _values(table, cell)])
+    rows = [
+        [
+            *(table.campaign, cell.target, cell.attack),
+            *(getattr(cell, name) for name in COUNTS),
+            *(cell.outcomes.get(name, 0) for name in OUTCOMES),
+            *(value for name in RATES for _, value in getattr(cell, name)),
+            *(getattr(cell, name) for name in means),
+        ]
+        for cell in table.cells
+    ]
+    return _csv(["campaign", "target", "attack", *COUNTS, *OUTCOMES, *rates, *means], rows)
+
+
+def cases_to_csv(cases: Sequence[CaseRow]) -> str:
+    """One line for each job that has ended; p in full range, empty where unknown."""
+    rows = [
+        [
+            *(row.number, row.job),
+            *(row.fields[name] for name in CASE_FIELDS),
+            *(getattr(row.case, name) for name in _OF_CASE),
+        ]
+        for row in cases
+    ]
+    return _csv(["number", "job", *(name.replace(" ", "_") for name in CASE_FIELDS), *_OF_CASE], rows)
+
+
+def _csv(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    out = io.StringIO()
+    lines = csv.writer(out, lineterminator="\n")
+    lines.writerow(columns)
+    lines.writerows([plain(value) for value in row] for row in rows)
     return out.getvalue()
-
-
-def _values(table: Table, cell: Cell) -> Iterator[object]:
-    yield from (table.campaign, cell.target, cell.attack)
-    yield from (getattr(cell, name) for name in COUNTS)
-    yield from (cell.outcomes.get(name, 0) for name in OUTCOMES)
-    for name in RATES:
-        rate: Rate = getattr(cell, name)
-        yield from (rate.count, rate.of, rate.rate, rate.low, rate.high)
-    yield from (cell.perceptibility, cell.loop_perceptibility, cell.truncated)
 
 
 def plain(value: object) -> object:
     """The value; a text that a spreadsheet would take for a formula is preceded by an apostrophe."""
     return f"'{value}" if isinstance(value, str) and value[:1] in ("=", "+", "-", "@", "\t", "\r") else value
-
-
-def cases_to_csv(cases: Sequence[CaseRow]) -> str:
-    """One line for each job that has ended; p in full range, empty where unknown."""
-    out = io.StringIO()
-    lines = csv.writer(out, lineterminator="\n")
-    lines.writerow(["number", "job", *(name.replace(" ", "_") for name in CASE_FIELDS), *_OF_CASE, *_WORK])
-    for row in cases:
-        values = [getattr(row.case, name) for name in (*_OF_CASE, *_WORK)]
-        lines.writerow(
-            [plain(value) for value in (row.number, row.job, *(row.fields[name] for name in CASE_FIELDS), *values)]
-        )
-    return out.getvalue()
 
 
 def to_latex(table: Table) -> str:
@@ -457,10 +450,9 @@ def to_latex(table: Table) -> str:
     ]
     for target in table.targets:
         cells = [table.cell(target, attack) for attack in table.attacks]
-        lines.append(" & ".join([tex(target), *(part for cell in cells for part in _verified(cell))]) + r" \\")
-        lines.append(" & ".join([r"\quad 95\,\% interval, $n$", *(p for c in cells for p in _interval(c))]) + r" \\")
-        lines.append(" & ".join([r"\quad in the loop", *(part for cell in cells for part in _in_loop(cell))]) + r" \\")
-        lines.append(" & ".join([r"\quad truncated pixels", *(p for c in cells for p in _truncated(c))]) + r" \\")
+        for title, columns in _ROWS.items():
+            pairs = (("--", "--") if cell is None else columns(cell) for cell in cells)
+            lines.append(" & ".join([title or tex(target), *chain.from_iterable(pairs)]) + r" \\")
     lines += [
         r"\bottomrule",
         r"\end{tabular}",
@@ -470,22 +462,10 @@ def to_latex(table: Table) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _verified(cell: Cell | None) -> tuple[str, str]:
-    return ("--", "--") if cell is None else (_percent(cell.success.rate), _milli(cell.perceptibility))
-
-
-def _interval(cell: Cell | None) -> tuple[str, str]:
-    if cell is None or cell.success.rate is None:
+def _interval(cell: Cell) -> tuple[str, str]:
+    if cell.success.rate is None:
         return "--", "--"
     return f"[{_percent(cell.success.low)}, {_percent(cell.success.high)}]", str(cell.success.of)
-
-
-def _in_loop(cell: Cell | None) -> tuple[str, str]:
-    return ("--", "--") if cell is None else (_percent(cell.loop_success.rate), _milli(cell.loop_perceptibility))
-
-
-def _truncated(cell: Cell | None) -> tuple[str, str]:
-    return ("--" if cell is None or cell.truncated is None else f"{cell.truncated:.1f}"), ""
 
 
 def _percent(rate: float | None) -> str:
@@ -494,6 +474,15 @@ def _percent(rate: float | None) -> str:
 
 def _milli(value: float | None) -> str:
     return "--" if value is None else f"{1000 * value:.1f}"
+
+
+_ROWS: dict[str, Callable[[Cell], tuple[str, str]]] = {
+    "": lambda cell: (_percent(cell.success.rate), _milli(cell.perceptibility)),
+    r"\quad 95\,\% interval, $n$": _interval,
+    r"\quad in the loop": lambda cell: (_percent(cell.loop_success.rate), _milli(cell.loop_perceptibility)),
+    r"\quad truncated pixels": lambda cell: ("--" if cell.truncated is None else f"{cell.truncated:.1f}", ""),
+}
+"""The rows of a target in LaTeX, by their title; the first one has the target's name."""
 
 
 def tex(text: str) -> str:
