@@ -2,7 +2,7 @@
 
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from rich.progress import Progress
-
     from services.settings import Settings
+    from training.loop import Said
 
 OUT = Path("out/training")
 Out = Annotated[Path, typer.Option(help="Folder of the checkpoints, the weights and the cards.")]
@@ -24,7 +23,6 @@ Epochs = Annotated[
 Export = Annotated[
     bool, typer.Option("--export", help="Train no more: write weights and cards from the checkpoint as it is.")
 ]
-Said = Callable[[str, float, float, str], None]
 LINE_SECONDS = 30.0
 """Time between lines where the standard error is no terminal."""
 
@@ -132,61 +130,50 @@ def iep(
 
 
 def _train(name: str, minutes: float | None, epochs: int | None, out: Path, seed: int, export: bool) -> None:
-    from rich.progress import TaskID
-
     from client.console import err
     from client.console import out as stdout
     from client.specs import local_library
     from services.errors import InvalidRequest
     from training.export import write
+    from training.loop import Report
     from training.split import committed
-    from training.training import RECIPES, Budget, Report, Training, gather, load_trained
+    from training.training import RECIPES, Budget, Training, gather, load_trained
 
     if not export and (minutes is None) == (epochs is None):
         raise InvalidRequest("--minutes", "give either --minutes or --epochs")
     settings = settings_to_train()
     library, recipe, chosen = local_library(settings), RECIPES[name], committed()
-    cache = settings.cache_dir
     checkpoint = out / f"{name}.checkpoint"
-    with progress_bars() as progress:
-        steps: dict[str, TaskID] = {}
-
-        def said(what: str, done: int, total: int) -> None:
-            if what not in steps:
-                steps[what] = progress.add_task(what, total=total)
-            progress.update(steps[what], completed=done, total=total)
-
+    with _telling() as said:
         if not export:
-            data = gather(library, cache, recipe, chosen.models("training"), seed, said)
+            data = gather(library, settings.cache_dir, recipe, chosen.models("training"), seed, said)
             training = Training(recipe, len(chosen.classes), data, seed, checkpoint)
-            if training.step:
-                err().print(f"goes on from step {training.step:,} of {checkpoint}", markup=False, highlight=False)
-            task = progress.add_task("training", total=1.0)
+            if training.loop.step:
+                err().print(f"goes on from step {training.loop.step:,} of {checkpoint}", markup=False, highlight=False)
 
             def report(at: Report) -> None:
-                means = f"loss {at.loss:.3f}  right {at.accuracy:.3f}"
-                words = f"epoch {at.epoch:.1f}  {means}  {at.rate:.0f} images/s"
-                progress.update(task, completed=at.progress, description=words)
-                if not err().is_terminal:
-                    err().print(f"{at.progress:6.3f}  step {at.step:,}  {words}", markup=False, highlight=False)
+                means = "  ".join(f"{part} {mean:.3f}" for part, mean in at.losses.items())
+                epoch = at.step / training.steps_per_epoch
+                said("training", at.progress, 1.0, f"epoch {epoch:.1f}  {means}  {at.rate * recipe.batch:.0f} images/s")
 
             training.run(Budget(minutes, epochs), report)
             del data, training
         trained = load_trained(recipe, len(chosen.classes), checkpoint)
-        written = write(recipe, trained, chosen, library, cache, out, said)
+        written = write(recipe, trained, chosen, library, settings.cache_dir, out, said)
     stdout().print(written.summary, markup=False, highlight=False)
 
 
 @contextmanager
-def _telling() -> Iterator[Said]:
+def _telling() -> "Iterator[Said]":
     """Shows progress bars, and lines now and then where there is no terminal."""
-    from rich.progress import TaskID
+    from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
     from client.console import err
 
     steps: dict[str, TaskID] = {}
     before = 0.0
-    with progress_bars() as progress:
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=err()) as progress:
 
         def said(what: str, done: float, total: float, words: str) -> None:
             nonlocal before
@@ -195,19 +182,9 @@ def _telling() -> Iterator[Said]:
             progress.update(steps[what], completed=done, total=total, description=f"{what}  {words}".strip())
             if not err().is_terminal and (done >= total or time.monotonic() - before > LINE_SECONDS):
                 before = time.monotonic()
-                err().print(f"{what} {done:,.0f} of {total:,.0f}  {words}".strip(), markup=False, highlight=False)
+                err().print(f"{what} {done:,.4g} of {total:,.0f}  {words}".strip(), markup=False, highlight=False)
 
         yield said
-
-
-def progress_bars() -> "Progress":
-    """Returns progress bars on the standard error."""
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-
-    from client.console import err
-
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-    return Progress(*columns, console=err())
 
 
 def settings_to_train() -> "Settings":

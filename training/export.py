@@ -5,7 +5,7 @@ bits, the measurements, and the cards of the model and of its data.
 import hashlib
 import json
 import platform
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -27,6 +27,7 @@ from services.targets.architectures import fill_by_name
 from services.targets.networks import AlexNet, ResNet
 from services.targets.weights_file import dequantize, quantize, to_bytes
 from training.batches import MEAN, SCALE, normalised
+from training.loop import Said
 from training.split import AT_MOST, HELD_OUT, MIN_FAMILIES, MIN_HELD_OUT, MIN_MODELS, Split
 from training.training import DEFAULT_SCENES, Recipe, Trained, weights
 from training.views import INPUT, paper_cameras
@@ -49,14 +50,12 @@ class Images:
     renderers: Tensor
 
 
-def held_out(
-    library: Library, models: Sequence[tuple[int, str]], folder: Path, said: Callable[[str, int, int], None]
-) -> Images:
+def held_out(library: Library, models: Sequence[tuple[int, str]], folder: Path, said: Said) -> Images:
     """Returns the exact renderers' views of models (class, slug) in the default scene, to 8 bits; kept in `folder`."""
     model_images, classes, numbers, renderers = [], [], [], []
     for number, (kind, slug) in enumerate(models):
         images = _of_model(library, PREFIX + slug, folder)
-        said("rendering held-out models", number + 1, len(models))
+        said("rendering held-out models", number + 1, len(models), "")
         model_images.append(images)
         classes += [kind] * len(images)
         numbers += [number] * len(images)
@@ -120,6 +119,21 @@ class Written:
     data_card: Path
     summary: str
 
+    @classmethod
+    def to(cls, out: Path, weights: bytes, facts: dict[str, Any], cards: dict[str, str], summary: str) -> "Written":
+        """Writes to the folder `out`. cards: the text of that of the network and that of its data, by name."""
+        (card, text), (data_card, data_text) = cards.items()
+        files = {
+            out / f"{facts['name']}.safetensors": weights,
+            out / f"{facts['name']}.json": (json.dumps(facts, indent=1) + "\n").encode(),
+            out / f"{card}.md": text.encode(),
+            out / f"{data_card}.md": data_text.encode(),
+        }
+        for path, content in files.items():
+            disk.write(path, content)
+        weights_path, facts_path, card_path, data_path = files
+        return cls(weights_path, facts_path, card_path, data_path, summary)
+
 
 def write(
     recipe: Recipe,
@@ -128,7 +142,7 @@ def write(
     library: Library,
     cache: Path,
     out: Path,
-    said: Callable[[str, int, int], None],
+    said: Said,
 ) -> Written:
     """Measures a trained network on the held-out models and writes its files to `out`."""
     images = held_out(library, split.models("held_out"), cache / "training" / "held_out", said)
@@ -136,9 +150,9 @@ def write(
     state = weights(trained.network)
     data = to_bytes(state)
     plain = answers(trained.network, images)
-    said("measuring", 1, 2)
+    said("measuring", 1, 2, "")
     answered = answers(architecture(recipe.network, len(split.classes), dequantize(quantize(state))), images)
-    said("measuring", 2, 2)
+    said("measuring", 2, 2, "")
     facts = {
         "name": name,
         "architecture": recipe.network,
@@ -160,18 +174,8 @@ def write(
         "held_out": measured(answered, images, split),
         "held_out_before_quantisation": float((plain == images.classes).double().mean()),
     }
-    written = Written(
-        weights=out / f"{name}.safetensors",
-        facts=out / f"{name}.json",
-        card=out / f"{name}.md",
-        data_card=out / "furniture-views.md",
-        summary=_summary(facts),
-    )
-    disk.write(written.weights, data)
-    disk.write(written.facts, (json.dumps(facts, indent=1) + "\n").encode())
-    disk.write(written.card, model_card(facts).encode())
-    disk.write(written.data_card, data_card(split, recipe).encode())
-    return written
+    cards = {name: model_card(facts), "furniture-views": data_card(split, recipe)}
+    return Written.to(out, data, facts, cards, _summary(facts))
 
 
 def architecture(name: str, classes: int, state: dict[str, Tensor]) -> nn.Module:

@@ -1,22 +1,16 @@
-"""The training of AlexNet and ResNet-34: recipes, the loop and its checkpoints, AlexNet as it is trained, and the data:
-views of the training models, looks, and hints of a teacher.
-
-What a step does follows from the seed, the step's number and the state before it alone, so a training of a number of
-epochs that is killed and resumed ends in the same bits. Convolutions and products are computed in bfloat16, weights and
-their updates in float32.
+"""The training of AlexNet and ResNet-34: recipes, the steps, AlexNet as it is trained, and the data: views of the
+training models, looks, and hints of a teacher. Convolutions and products are computed in bfloat16, weights and their
+updates in float32.
 
 AlexNet has batch normalisation after each layer, and hidden matrices of low rank: without normalisation it learns
 slowly, and its hidden matrices hold 54 of its 57 million weights. After training the normalisation is folded into the
 layers and each pair of factors multiplied out, which gives AlexNet itself.
 """
 
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
-from functools import cached_property
 from math import cos, pi
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -29,9 +23,9 @@ from services.scenes.description import ELEVATION, Environment
 from services.scenes.furniture import PREFIX
 from services.scenes.library import Library
 from services.targets.networks import CHANNELS, GRID, HIDDEN, ResNet
-from training import checkpoints
 from training.batches import as_in_default_scene, augmented, distort, normalised, plain, shade
 from training.looks import default_looks, environment_look, looks
+from training.loop import Report, Said, TrainingLoop, read
 from training.teacher import features_of
 from training.teacher import load as load_teacher
 from training.views import INPUT, Views, joined, training_cameras, views
@@ -100,12 +94,6 @@ class Budget:
         return min(1.0, seconds / (60 * self.minutes))
 
 
-CHECKPOINT_SECONDS = 120.0
-"""Time between checkpoints."""
-REPORT_STEPS = 20
-"""Steps between reports; loss and accuracy are means over them."""
-
-
 @dataclass(frozen=True)
 class Data:
     """Training data of a network.
@@ -121,18 +109,6 @@ class Data:
     hints: Tensor | None = None
 
 
-@dataclass(frozen=True)
-class Report:
-    """Progress of training. rate: images per second of this process's run."""
-
-    step: int
-    epoch: float
-    progress: float
-    loss: float
-    accuracy: float
-    rate: float
-
-
 class Training:
     """A training that can be resumed from its checkpoint file."""
 
@@ -141,22 +117,14 @@ class Training:
 
         Raises InvalidRequest("--out") if that checkpoint is of another recipe, seed or set of views.
         """
-        self.recipe, self.data, self.seed, self._path = recipe, data, seed, path
+        self.recipe, self.data, self.seed = recipe, data, seed
         torch.manual_seed(seed)
         self.network = network(recipe, classes)
         self.head = None if data.hints is None else nn.Linear(512, data.hints.shape[1])
-        self._learned = nn.ModuleList([self.network, *([] if self.head is None else [self.head])])
-        self._learned.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-        decayed = [p for p in self._learned.parameters() if p.dim() > 1]
-        others = [p for p in self._learned.parameters() if p.dim() <= 1]
-        groups = [
-            {"params": decayed, "weight_decay": recipe.weight_decay},
-            {"params": others, "weight_decay": 0.0},
-        ]
-        self._optimiser = torch.optim.AdamW(groups, lr=recipe.rate, foreach=True)
-        self.step, self.seconds, self._budget = 0, 0.0, Budget()
-        if path.exists():
-            self._load()
+        learned = nn.ModuleList([self.network, *([] if self.head is None else [self.head])])
+        learned.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        about = {"recipe": asdict(recipe), "seed": seed, "views": len(data.labels)}
+        self.loop = TrainingLoop(learned, path, about, (seed, 2), recipe.weight_decay, recipe.clip)
 
     @property
     def steps_per_epoch(self) -> int:
@@ -166,67 +134,21 @@ class Training:
     def run(
         self, budget: Budget, said: Callable[[Report], None], stop: Callable[[int], bool] = lambda _: False
     ) -> None:
-        """Trains until the budget is used up, with a checkpoint every few minutes and at the end.
+        """Trains until the budget is used up; `said` and `stop` as for the loop, with the losses "loss" and "right"."""
+        self.loop.notes = {"budget": asdict(budget)}
 
-        `said` gets a report every few steps. `stop` is asked after each step, with its number, whether to end early.
-        """
-        self._budget = budget
-        began, first = time.monotonic() - self.seconds, self.step
-        started, saved = time.monotonic(), time.monotonic()
-        losses, rights = [], []
-        self._learned.train()
-        while (progress := budget.progress(self.step, self.steps_per_epoch, self.seconds)) < 1:
-            loss, right = self._step(progress)
-            losses.append(loss)
-            rights.append(right)
-            self.step += 1
-            now = time.monotonic()
-            self.seconds = now - began
-            if self.step % REPORT_STEPS == 0:
-                rate = (self.step - first) * self.recipe.batch / (now - started)
-                epoch = self.step / self.steps_per_epoch
-                said(Report(self.step, epoch, progress, float(np.mean(losses)), float(np.mean(rights)), rate))
-                losses, rights = [], []
-            if now - saved > CHECKPOINT_SECONDS:
-                self.save()
-                saved = now
-            if stop(self.step):
-                return
-        self.save()
+        def progress_at(step: int, seconds: float) -> float:
+            return budget.progress(step, self.steps_per_epoch, seconds)
 
-    def save(self) -> None:
-        """Writes the checkpoint: after a kill the file is the old or the new one, complete."""
-        state = {
-            "step": self.step,
-            "seconds": self.seconds,
-            "budget": asdict(self._budget),
-            "learned": self._learned.state_dict(),
-            "optimiser": self._optimiser.state_dict(),
-        }
-        checkpoints.write(self._path, self._about, state)
+        self.loop.run(progress_at, lambda _, progress: self.recipe.rate_at(progress), self._loss, said, stop)
 
-    @cached_property
-    def _about(self) -> dict[str, Any]:
-        """Recipe, seed and number of views, which a checkpoint must match."""
-        return {"recipe": asdict(self.recipe), "seed": self.seed, "views": len(self.data.labels)}
-
-    def _load(self) -> None:
-        state = checkpoints.read(self._path, self._about)
-        self._learned.load_state_dict(state["learned"])
-        self._optimiser.load_state_dict(state["optimiser"])
-        self.step, self.seconds = state["step"], state["seconds"]
-
-    def _step(self, progress: float) -> tuple[float, float]:
-        """Takes one step; returns its loss and the share of right answers."""
+    def _loss(self, progress: float, random: np.random.Generator) -> tuple[Tensor, dict[str, float]]:
+        """The loss of one step with the hints; without them, and the share of right answers."""
         recipe = self.recipe
-        random = np.random.default_rng([self.seed, 2, self.step])
         torch.manual_seed(int(random.integers(2**31)))  # dropout
         chosen = self._chosen()
         labels = self.data.labels[torch.from_numpy(chosen)]
         images = normalised(self._images(chosen, progress, random))
-        for group in self._optimiser.param_groups:
-            group["lr"] = recipe.rate_at(progress)
-        self._optimiser.zero_grad()
         weight = recipe.hints_at(progress)
         with torch.autocast("cpu", dtype=torch.bfloat16):
             if self.head is not None and isinstance(self.network, ResNet):
@@ -239,10 +161,8 @@ class Training:
         if hinted is not None and weight > 0:
             assert self.data.hints is not None
             total = loss + weight * F.mse_loss(hinted.float(), self.data.hints[torch.from_numpy(chosen)])
-        total.backward()  # type: ignore[no-untyped-call]
-        nn.utils.clip_grad_norm_(self._learned.parameters(), recipe.clip)
-        self._optimiser.step()
-        return float(loss.detach()), float((logits.argmax(1) == labels).double().mean())
+        right = float((logits.argmax(1) == labels).double().mean())
+        return total, {"loss": float(loss.detach()), "right": right}
 
     def _images(self, chosen: NDArray[np.int64], progress: float, random: np.random.Generator) -> Tensor:
         """Returns images [B, 3, h, w] in [0,1] of the chosen views."""
@@ -255,7 +175,7 @@ class Training:
 
     def _chosen(self) -> NDArray[np.int64]:
         """Returns the views of the step's batch: its part of the epoch's random order."""
-        epoch, place = divmod(self.step, self.steps_per_epoch)
+        epoch, place = divmod(self.loop.step, self.steps_per_epoch)
         if self._order is None or self._order[0] != epoch:
             order = np.random.default_rng([self.seed, 3, epoch]).permutation(len(self.data.labels))
             self._order = (epoch, order)
@@ -291,13 +211,13 @@ def load_trained(recipe: Recipe, classes: int, path: Path) -> Trained:
     """Returns the network of a checkpoint. Raises InvalidRequest("--out") if there is none."""
     if not path.exists():
         raise InvalidRequest("--out", f"there is no checkpoint {path}")
-    state = torch.load(path, weights_only=True)
+    state = read(path)
     model = network(recipe, classes)
-    learned = {name[2:]: value for name, value in state["learned"].items() if name.startswith("0.")}
+    learned = {name[2:]: value for name, value in state["module"].items() if name.startswith("0.")}
     model.load_state_dict(learned)
     about = state["about"]
     return Trained(
-        model.eval(), Budget(**state["budget"]), about["seed"], state["step"], state["seconds"], about["views"]
+        model.eval(), Budget(**state["notes"]["budget"]), about["seed"], state["step"], state["seconds"], about["views"]
     )
 
 
@@ -410,7 +330,7 @@ def gather(
     recipe: Recipe,
     models: Sequence[tuple[int, str]],
     seed: int,
-    said: Callable[[str, int, int], None],
+    said: Said,
 ) -> Data:
     """Returns the data of a recipe: `models` are (class, slug). Drawn views and hints are kept in `cache`.
 
@@ -420,16 +340,16 @@ def gather(
     for _, slug in models:
         cameras = training_cameras(PREFIX + slug, recipe.views, seed, INPUT)
         parts.append(views(library, PREFIX + slug, cameras, cache / "training" / "views"))
-        said("drawing models", len(parts), len(models))
+        said("drawing models", len(parts), len(models), "")
     drawn = joined(parts)
     labels = torch.tensor([number for number, _ in models]).repeat_interleave(recipe.views)
-    said("tabulating looks", 0, 1)
+    said("tabulating looks", 0, 1, "")
     tables, default = looks(library, recipe.looks, seed), default_looks(library, TURNS)
     hints = None if recipe.hints == 0 else _hints(library, drawn, said)
     return Data(drawn, labels, tables, default, hints)
 
 
-def _hints(library: Library, drawn: Views, said: Callable[[str, int, int], None]) -> Tensor:
+def _hints(library: Library, drawn: Views, said: Said) -> Tensor:
     """Returns the teacher's features of each view in the default light, as principal components of unit variance."""
     teacher = load_teacher()
     table = environment_look(library, Environment(), "matte", ELEVATION)[None]
@@ -439,7 +359,7 @@ def _hints(library: Library, drawn: Views, said: Callable[[str, int, int], None]
         at = np.arange(start, min(start + AT_ONCE, count))
         images = shade(drawn, table, plain(at, np.zeros_like(at)))
         batches.append(features_of(teacher, F.interpolate(images, TEACHER_SIZE, mode="bilinear")))
-        said("asking the teacher", start + len(at), count)
+        said("asking the teacher", start + len(at), count, "")
     features = torch.cat(batches)
     centred = features - features.mean(0)
     values, vectors = torch.linalg.eigh((centred.T @ centred / len(centred)).double())

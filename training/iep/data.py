@@ -38,6 +38,7 @@ from services.scenes.resolve import ResolvedScene, resolve
 from training.iep.examples import Example, ObjectTruth
 from training.iep.processes import each
 from training.iep.recipe import SHARD, Part, Recipe, Split
+from training.loop import Said
 
 Bytes = NDArray[np.uint8]
 
@@ -76,9 +77,6 @@ class Shard:
 
 VERSION = 1
 """Version of the drawn data. Raise it with every change of the drawing, so that older data is not taken for new."""
-
-Said = Callable[[str, float, float, str], None]
-"""A function that gets the name of a step, the amount done, the total, and a text, which may be empty."""
 
 
 @dataclass(frozen=True)

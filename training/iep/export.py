@@ -27,11 +27,13 @@ from services.targets.iep.assembly import Question, assemble
 from services.targets.iep.checkpoint import HOW_TO_GET_WEIGHTS, Checkpoint, load, to_bytes
 from services.targets.iep.engine import Engine
 from services.targets.iep.program_generator import to_prefix
-from training.iep.data import BRIGHTER, COARSE, MOVED, TINTED, DataFolder, Images, Said, Shard, examples_of
+from training.export import Written
+from training.iep.data import BRIGHTER, COARSE, MOVED, TINTED, DataFolder, Images, Shard, examples_of
 from training.iep.engine_training import execute
 from training.iep.examples import Example
 from training.iep.recipe import RECIPE, Split
 from training.iep.stages import Stages
+from training.loop import Said
 
 OVERALL = "overall"
 
@@ -176,17 +178,6 @@ SHIPPED = Path(str(files("services.targets").joinpath("weights"))) / f"{NAME}.sa
 """The checkpoint that ships with the project."""
 
 
-@dataclass(frozen=True)
-class Written:
-    """The files that were written, and the result as a table."""
-
-    weights: Path
-    facts: Path
-    card: Path
-    data_card: Path
-    summary: str
-
-
 def write(stages: Stages, out: Path, command: str, said: Said) -> Written:
     """Measures a finished training on the validation and the test scenes and writes its files to `out`."""
     network, generator = stages.network, stages.generator
@@ -213,11 +204,7 @@ def write(stages: Stages, out: Path, command: str, said: Said) -> Written:
         "check": checks,
         "before_quantisation": {group: of[OVERALL]["share"] for group, of in before["answers"].items()},
     }
-    written = Written(weights, out / f"{NAME}.json", out / f"{NAME}.md", out / "clevr-views.md", table(checks))
-    disk.write(written.facts, (json.dumps(facts, indent=1) + "\n").encode())
-    disk.write(written.card, model_card(facts).encode())
-    disk.write(written.data_card, data_card(facts).encode())
-    return written
+    return Written.to(out, data, facts, {NAME: model_card(facts), "clevr-views": data_card(facts)}, table(checks))
 
 
 @dataclass(frozen=True)

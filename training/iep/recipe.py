@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass, replace
 from itertools import accumulate
 from typing import Any, Literal
 
-from training.iep.loop import Schedule
+from training.loop import Schedule
 
 Split = Literal["train", "validation", "test"]
 FEW, MANY = (3, 6), (3, 10)

@@ -6,7 +6,7 @@ Each stage goes on where it was, so that a training that is ended and begun agai
 import hashlib
 import io
 from collections.abc import Callable
-from functools import cache
+from dataclasses import asdict
 from pathlib import Path
 
 import torch
@@ -21,12 +21,12 @@ from services.scenes.library import Library
 from services.targets.iep.checkpoint import round_weights
 from services.targets.iep.engine import Network, Trunk
 from services.targets.iep.program_generator import ProgramGenerator
-from training.iep.data import DataFolder, Images, Said, Shard, examples_of, objects_of
+from training.iep.data import DataFolder, Images, Shard, examples_of, objects_of
 from training.iep.engine_training import engine_step
 from training.iep.generator_training import generator_step
-from training.iep.loop import Report, Schedule, Step, TrainingLoop
 from training.iep.recipe import Recipe, Split
 from training.iep.trunk_training import AugmentedViews, ObjectFinder, hand_over, trunk_step
+from training.loop import Report, Said, Schedule, Step, TrainingLoop
 
 
 class Stages:
@@ -103,16 +103,16 @@ class Stages:
 
     def _train(self, name: str, module: nn.Module, schedule: Schedule, step: Callable[[], Step], data: str) -> bool:
         """Trains a part until it is finished or over; returns whether it is finished. A finished part needs no data."""
-        prepared = cache(step)
         path = self._folder / f"{name}.checkpoint"
-        loop = TrainingLoop(name, module, schedule, lambda at, random: prepared()(at, random), self.seed, path, data)
+        about = {"name": name, "schedule": asdict(schedule), "seed": self.seed, "data": data}
+        loop = TrainingLoop(module, path, about, (self.seed,), schedule.decay, schedule.clip)
 
         def report(at: Report) -> None:
             losses = "  ".join(f"{part} {loss:.3f}" for part, loss in at.losses.items())
-            self._said(f"training the {name}", at.step, at.of, f"{losses}  {at.rate:.1f} steps/s")
+            self._said(f"training the {name}", at.step, schedule.steps, f"{losses}  {at.rate:.1f} steps/s")
 
         if loop.step < schedule.steps and not self._over():
-            loop.run(report, stop=lambda _: self._over())
+            loop.run(schedule.progress, schedule.rate_at, step(), report, stop=lambda _: self._over())
             loop.save()
         self.seconds[name] = loop.seconds
         return loop.step >= schedule.steps

@@ -3,9 +3,9 @@
 from pathlib import Path
 
 from services.scenes.library import Library
-from training.iep.loop import Schedule
 from training.iep.recipe import Recipe
 from training.iep.stages import Stages
+from training.loop import Schedule
 
 RECIPE = Recipe(
     shares={"pyrender": 1.0},

@@ -9,7 +9,7 @@ from services.targets.iep.engine import Engine
 from tests.unit.training.iep.conftest import Data
 from training.iep.engine_training import EVERYTHING_FROM, Draw, chances, engine_step, execute
 from training.iep.export import answers, by_family
-from training.iep.loop import Schedule, TrainingLoop
+from training.loop import Schedule, TrainingLoop
 
 pytestmark = pytest.mark.slow
 
@@ -21,7 +21,9 @@ def test_the_engine_learns_to_filter_count_and_see(simple: tuple[Data, Data], tm
     torch.manual_seed(0)
     engine = Engine()
     step = engine_step(engine, training.features, training.examples, training.cells, batch=48)
-    TrainingLoop("engine", engine, Schedule(160, 4e-3), step, 0, tmp_path / "engine").run(lambda _: None)
+    schedule = Schedule(160, 4e-3)
+    loop = TrainingLoop(engine, tmp_path / "engine", {}, (0,), schedule.decay, schedule.clip)
+    loop.run(schedule.progress, schedule.rate_at, step, lambda _: None)
     right = [found == one.answer for found, one in zip(_answers(engine, test), test.examples, strict=True)]
     shares = by_family(test.examples, right)
     assert shares["exist"].share > 0.85

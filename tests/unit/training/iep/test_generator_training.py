@@ -6,7 +6,7 @@ import torch
 from services.targets.iep.program_generator import ProgramGenerator
 from tests.unit.training.iep.conftest import Data
 from training.iep.generator_training import generator_step, right_programs
-from training.iep.loop import Schedule, TrainingLoop
+from training.loop import Schedule, TrainingLoop
 
 pytestmark = pytest.mark.slow
 
@@ -18,6 +18,8 @@ def test_the_generator_learns_the_programs_of_questions(simple: tuple[Data, Data
     generator = ProgramGenerator()
     assert sum(right_programs(generator, test.examples[:50])) <= 5
     step = generator_step(generator, training.examples, 32)
-    TrainingLoop("generator", generator, Schedule(120, 5e-3), step, 0, tmp_path / "g").run(lambda _: None)
+    schedule = Schedule(120, 5e-3)
+    loop = TrainingLoop(generator, tmp_path / "generator", {}, (0,), schedule.decay, schedule.clip)
+    loop.run(schedule.progress, schedule.rate_at, step, lambda _: None)
     right = right_programs(generator, test.examples)
     assert sum(right) / len(right) > 0.9
