@@ -8,7 +8,6 @@ boundary of the first scanned scale that fools is bisected. What lies between tw
 from collections.abc import Callable, Sequence
 
 from services.analysis.attribution import Tick
-from services.analysis.images import answer, of_float_images, of_images
 from services.analysis.records import MinimalChange, RayPoint
 from services.analysis.subsets import ScoredImage, scored
 from services.attacks.goal import ResolvedGoal
@@ -57,7 +56,8 @@ def minimal_change(
 
     def fooled(scale: float) -> bool:
         tick(len(points), scans + bisections)
-        points[scale] = _point(verifier, goal, scaled(perturbation, scale), original, scale)
+        image = scored(verifier, scaled(perturbation, scale))
+        points[scale] = RayPoint(scale=scale, **image.judged(original, verifier.target.labels, goal))
         return points[scale].fooled
 
     scale, held = scan_and_bisect(fooled, scans, bisections)
@@ -86,19 +86,3 @@ def _fools_from(scan: Sequence[RayPoint]) -> float | None:
             break
         smallest = point.scale
     return smallest
-
-
-def _point(
-    verifier: Verifier, goal: ResolvedGoal, perturbation: Parameters, original: ScoredImage, scale: float
-) -> RayPoint:
-    image = scored(verifier, perturbation)
-    network_answer = answer(image.logits, verifier.target.labels, goal)
-    return RayPoint(
-        scale=scale,
-        label=network_answer.label,
-        confidence=network_answer.confidence,
-        goal_probability=network_answer.goal_probability,
-        float_perceptibility=of_float_images(original.exact, image.exact),
-        perceptibility=of_images(original.saved, image.saved),
-        fooled=bool(goal.fooled(image.logits)),
-    )

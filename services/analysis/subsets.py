@@ -4,7 +4,7 @@ section 4.1.2).
 
 from collections.abc import Callable
 from itertools import combinations
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from torch import Tensor
 
@@ -25,6 +25,18 @@ class ScoredImage(NamedTuple):
     """The same rounded to 8 bits, uint8 [H, W, 3]."""
     logits: Tensor
     """The scores of the saved image, [K]."""
+
+    def judged(self, original: "ScoredImage", labels: tuple[str, ...], goal: ResolvedGoal) -> dict[str, Any]:
+        """The fields of an analysis of this image: the answer, its visibility, and whether it meets the goal."""
+        network_answer = answer(self.logits, labels, goal)
+        return {
+            "label": network_answer.label,
+            "confidence": network_answer.confidence,
+            "goal_probability": network_answer.goal_probability,
+            "float_perceptibility": of_float_images(original.exact, self.exact),
+            "perceptibility": of_images(original.saved, self.saved),
+            "fooled": bool(goal.fooled(self.logits)),
+        }
 
 
 def scored(verifier: Verifier, perturbation: Parameters) -> ScoredImage:
@@ -58,17 +70,6 @@ def subsets(
             else:
                 image = scored(verifier, {g: perturbation[g] for g in groups})
                 keep(len(rows), image.saved)
-            network_answer = answer(image.logits, verifier.target.labels, goal)
-            rows.append(
-                Subset(
-                    groups=list(groups),
-                    label=network_answer.label,
-                    confidence=network_answer.confidence,
-                    goal_probability=network_answer.goal_probability,
-                    goal_log_odds=goal_log_odds(image.logits, goal),
-                    float_perceptibility=of_float_images(original.exact, image.exact),
-                    perceptibility=of_images(original.saved, image.saved),
-                    fooled=bool(goal.fooled(image.logits)),
-                )
-            )
+            shown = image.judged(original, verifier.target.labels, goal)
+            rows.append(Subset(groups=list(groups), goal_log_odds=goal_log_odds(image.logits, goal), **shown))
     return rows
