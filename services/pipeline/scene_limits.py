@@ -20,8 +20,8 @@ from services.questions.program import Program
 from services.rendering.plan import Item, Plan
 from services.rendering.protocol import Parameters
 from services.scenes.clevr.description import other_readings, record_after, rig_after, rig_of
-from services.scenes.clevr.generator import MIN_PIXELS, Placed, check, placed_in, visible_pixels
-from services.scenes.clevr.records import Rig, SceneRecord
+from services.scenes.clevr.generator import MIN_PIXELS, check, visible_pixels
+from services.scenes.clevr.records import ObjectRecord, Rig, SceneRecord
 from services.scenes.description import Scene
 
 HALVINGS = 8
@@ -44,7 +44,7 @@ class SceneLimits:
         self._programs, self._record, self._scene = programs, record, scene
         self._renderer = renderer
         self._outputs = self._found(self._record)
-        seen = visible_pixels(placed_in(self._record), rig_of(self._record))
+        seen = visible_pixels(self._record.objects, rig_of(self._record))
         self._least_seen = [min(MIN_PIXELS, pixels) for pixels in seen]
         self.fixed = {group: _fixed(group, value) for group, value in initial.items()}
 
@@ -54,13 +54,12 @@ class SceneLimits:
             return True
         scene, _, _ = described(self._scene, self._renderer, perturbation)
         record, rig = self._attacked(perturbation, scene)
-        placed = placed_in(record)
         try:
-            check(placed, rig)
+            check(record.objects, rig)
         except InvalidRequest:
             return False
         read = (record, *_read_otherwise(record, scene))
-        return all(self._found(reading) == self._outputs for reading in read) and self._in_view(placed, rig)
+        return all(self._found(reading) == self._outputs for reading in read) and self._in_view(record.objects, rig)
 
     def _attacked(self, perturbation: Parameters, scene: Scene) -> tuple[SceneRecord, Rig]:
         """The record of the attacked scene, and its camera and lights."""
@@ -69,7 +68,7 @@ class SceneLimits:
             rig = replace(rig, roll=float(perturbation[CAMERA][ROLL]))  # which a scene does not have
         return record_after(self._record, scene), rig
 
-    def _in_view(self, placed: Sequence[Placed], rig: Rig) -> bool:
+    def _in_view(self, placed: Sequence[ObjectRecord], rig: Rig) -> bool:
         """Whether each object is seen in as many pixels as the generator asks for, or as at the start if fewer."""
         return all(n >= least for n, least in zip(visible_pixels(placed, rig), self._least_seen, strict=True))
 

@@ -13,7 +13,7 @@ from typing import Annotated
 from pydantic import Field, ValidationError
 
 from services.errors import InvalidRequest
-from services.scenes.clevr.generator import MAX_OBJECTS, check, generate, placed_in
+from services.scenes.clevr.generator import MAX_OBJECTS, check, generate
 from services.scenes.clevr.records import (
     IMAGE_SIZE,
     RELATIONS,
@@ -224,7 +224,7 @@ def scene_of(record: SceneRecord) -> Scene:
     if hypot(*rig.camera[:2]) < LEAST_ASIDE:
         raise InvalidRequest("record.camera.position", "it is straight above or below the origin, which it looks at")
     try:
-        check(placed_in(record), rig)
+        check(record.objects, rig)
     except InvalidRequest as error:
         raise InvalidRequest(f"record.{error.field}", error.detail) from error
     try:

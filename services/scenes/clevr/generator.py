@@ -9,7 +9,6 @@ apart from each other, inside the frame) are exact for the ideal solids, which a
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from math import ceil, cos, floor, hypot, radians, sin, sqrt
 from random import Random
 
@@ -48,19 +47,7 @@ RESTARTS = 1000
 """Times that the objects are placed anew before `place` gives up."""
 
 
-@dataclass(frozen=True)
-class Placed:
-    """An object on the plane. `rotation` is its turn about +z in degrees."""
-
-    shape: str
-    size: str
-    color: str
-    material: str
-    centre: Vector
-    rotation: float
-
-
-def place(count: int, rig: Rig, random: Random) -> list[Placed]:
+def place(count: int, rig: Rig, random: Random) -> list[ObjectRecord]:
     """Returns `count` objects of random attributes that keep MIN_GAP and MARGIN and are inside the frame as a whole.
 
     Raises InvalidRequest("objects") if so many do not fit.
@@ -74,8 +61,10 @@ def place(count: int, rig: Rig, random: Random) -> list[Placed]:
     raise InvalidRequest("objects", f"{count} objects do not fit on the plane with their margins")
 
 
-def _attempt(count: int, viewpoint: Viewpoint, axes: tuple[Vector, Vector], random: Random) -> list[Placed] | None:
-    objects: list[Placed] = []
+def _attempt(
+    count: int, viewpoint: Viewpoint, axes: tuple[Vector, Vector], random: Random
+) -> list[ObjectRecord] | None:
+    objects: list[ObjectRecord] = []
     for _ in range(count):
         size, color, material, shape = (random.choice(values) for values in ATTRIBUTES.values())
         for _ in range(TRIES):
@@ -84,13 +73,15 @@ def _attempt(count: int, viewpoint: Viewpoint, axes: tuple[Vector, Vector], rand
                 break
         else:
             return None
-        objects.append(Placed(shape, size, color, material, centre, random.uniform(0, 360)))
+        attributes = {"shape": shape, "size": size, "color": color, "material": material}
+        seen = {"coords_3d": centre, "rotation": random.uniform(0, 360), "pixel_coords": viewpoint.pixel(centre)}
+        objects.append(ObjectRecord.model_validate(attributes | seen))
     return objects
 
 
-def _is_free(centre: Vector, size: str, objects: list[Placed], axes: tuple[Vector, Vector]) -> bool:
+def _is_free(centre: Vector, size: str, objects: list[ObjectRecord], axes: tuple[Vector, Vector]) -> bool:
     for other in objects:
-        x, y = centre[0] - other.centre[0], centre[1] - other.centre[1]
+        x, y = centre[0] - other.coords_3d[0], centre[1] - other.coords_3d[1]
         if hypot(x, y) - RADIUS[size] - RADIUS[other.size] < MIN_GAP:
             return False
         if any(abs(x * axis[0] + y * axis[1]) < MARGIN for axis in axes):
@@ -101,13 +92,13 @@ def _is_free(centre: Vector, size: str, objects: list[Placed], axes: tuple[Vecto
 Doubles = NDArray[np.float64]
 
 
-def visible_pixels(placed: Sequence[Placed], rig: Rig) -> list[int]:
+def visible_pixels(placed: Sequence[ObjectRecord], rig: Rig) -> list[int]:
     """Returns the number of pixels of each object in `object_numbers`."""
     numbers = object_numbers(placed, rig)
     return [int((numbers == k).sum()) for k in range(len(placed))]
 
 
-def object_numbers(placed: Sequence[Placed], rig: Rig) -> NDArray[np.int64]:
+def object_numbers(placed: Sequence[ObjectRecord], rig: Rig) -> NDArray[np.int64]:
     """Returns the index of the object that each pixel shows, −1 where there is none, [240, 320].
 
     The plane hides nothing, as all objects stand on it.
@@ -124,10 +115,10 @@ def object_numbers(placed: Sequence[Placed], rig: Rig) -> NDArray[np.int64]:
     return numbers
 
 
-def _box(thing: Placed, viewpoint: Viewpoint) -> tuple[slice, slice]:
+def _box(thing: ObjectRecord, viewpoint: Viewpoint) -> tuple[slice, slice]:
     """Returns rows and columns outside of which nothing of an object is seen."""
     radius = bounding_radius(thing.shape, thing.size)
-    right, up, depth = viewpoint.in_camera(thing.centre)
+    right, up, depth = viewpoint.in_camera(thing.coords_3d)
 
     def limits(offset: float, pixels: int, focal: float) -> slice:
         # Tangents of the two planes through the eye that touch the bounding sphere.
@@ -152,10 +143,10 @@ def _rays(box: tuple[slice, slice], viewpoint: Viewpoint) -> Doubles:
     return rays
 
 
-def _depth(thing: Placed, rig: Rig, rays: Doubles) -> Doubles:
+def _depth(thing: ObjectRecord, rig: Rig, rays: Doubles) -> Doubles:
     """Returns the distance along the view at which each ray enters an object; infinity where it misses it."""
     angle = radians(thing.rotation)
-    eye = np.subtract(rig.camera, thing.centre)
+    eye = np.subtract(rig.camera, thing.coords_3d)
     x, y = rays[0] * cos(angle) + rays[1] * sin(angle), rays[1] * cos(angle) - rays[0] * sin(angle)
     start = np.array([eye[0] * cos(angle) + eye[1] * sin(angle), eye[1] * cos(angle) - eye[0] * sin(angle), eye[2]])
     if thing.shape == "sphere":
@@ -225,29 +216,16 @@ def generate(
     raise InvalidRequest("objects", f"{count} objects cannot all be seen in {MIN_PIXELS} pixels each")
 
 
-def record_of(placed: Sequence[Placed], rig: Rig, split: str = "new", index: int = 0) -> SceneRecord:
+def record_of(placed: Sequence[ObjectRecord], rig: Rig, split: str = "new", index: int = 0) -> SceneRecord:
     """Returns the record of placed objects under a camera and lights, with the directions and relations they have."""
-    viewpoint, along = Viewpoint(rig), directions(rig)
+    along = directions(rig)
     return SceneRecord.model_validate(
         {
             "split": split,
             "image_index": index,
             "image_filename": f"CLEVR_{split}_{index:06d}.png",
-            "objects": [
-                ObjectRecord.model_validate(
-                    {
-                        "shape": thing.shape,
-                        "size": thing.size,
-                        "material": thing.material,
-                        "color": thing.color,
-                        "coords_3d": thing.centre,
-                        "rotation": thing.rotation,
-                        "pixel_coords": viewpoint.pixel(thing.centre),
-                    }
-                )
-                for thing in placed
-            ],
-            "relationships": relationships([thing.centre for thing in placed], along),
+            "objects": placed,
+            "relationships": relationships([thing.coords_3d for thing in placed], along),
             "directions": along,
             "camera": CameraRecord(position=rig.camera),
             "lights": LightsRecord(key=rig.key, fill=rig.fill, back=rig.back),
@@ -259,36 +237,31 @@ CONTACT = 0.01
 """Largest distance of an object's lowest point from the plane at which it stands on it."""
 
 
-def placed_in(record: SceneRecord) -> list[Placed]:
-    """Returns the objects of a record."""
-    return [Placed(o.shape, o.size, o.color, o.material, o.coords_3d, o.rotation) for o in record.objects]
-
-
-def check(placed: Sequence[Placed], rig: Rig) -> None:
+def check(placed: Sequence[ObjectRecord], rig: Rig) -> None:
     """Checks that all objects stand on the plane, are inside the frame, and do not overlap.
 
     Raises InvalidRequest, which names the first object that does not ("objects.2").
     """
     viewpoint = Viewpoint(rig)
     for k, thing in enumerate(placed):
-        height = thing.centre[2] - half_height(thing.shape, thing.size)
+        height = thing.coords_3d[2] - half_height(thing.shape, thing.size)
         if abs(height) > CONTACT:
             how = "floats above" if height > 0 else "sinks into"
             raise InvalidRequest(f"objects.{k}", f"it {how} the plane by {abs(height):.3g}")
-        if not viewpoint.frames(thing.centre, bounding_radius(thing.shape, thing.size)):
+        if not viewpoint.frames(thing.coords_3d, bounding_radius(thing.shape, thing.size)):
             raise InvalidRequest(f"objects.{k}", "it is not inside the frame as a whole")
         for j, other in enumerate(placed[:k]):
             if overlap(thing, other):
                 raise InvalidRequest(f"objects.{k}", f"it overlaps object {j}")
 
 
-def overlap(first: Placed, second: Placed) -> bool:
+def overlap(first: ObjectRecord, second: ObjectRecord) -> bool:
     """Returns whether two objects have more than their surfaces in common."""
     if first.shape == "sphere" or (first.shape == "cylinder" and second.shape == "cube"):
         first, second = second, first
     # Now `second` is the rounder one: it is a sphere if any is, and a cylinder beside a cube.
-    x, y = _turned(first, second.centre[0] - first.centre[0], second.centre[1] - first.centre[1])
-    z = second.centre[2] - first.centre[2]
+    x, y = _turned(first, second.coords_3d[0] - first.coords_3d[0], second.coords_3d[1] - first.coords_3d[1])
+    z = second.coords_3d[2] - first.coords_3d[2]
     reach = RADIUS[second.size]
     if first.shape == "sphere":
         return hypot(x, y, z) < RADIUS[first.size] + reach
@@ -304,15 +277,15 @@ def overlap(first: Placed, second: Placed) -> bool:
     return aside < reach if second.shape == "cylinder" else not (_separated(first, second) or _separated(second, first))
 
 
-def _turned(thing: Placed, x: float, y: float) -> tuple[float, float]:
+def _turned(thing: ObjectRecord, x: float, y: float) -> tuple[float, float]:
     """Returns a vector in the plane along an object's own axes."""
     angle = radians(thing.rotation)
     return x * cos(angle) + y * sin(angle), y * cos(angle) - x * sin(angle)
 
 
-def _separated(first: Placed, second: Placed) -> bool:
+def _separated(first: ObjectRecord, second: ObjectRecord) -> bool:
     """Returns whether a side of the first cube's base separates it from the second's."""
-    x, y = _turned(first, second.centre[0] - first.centre[0], second.centre[1] - first.centre[1])
+    x, y = _turned(first, second.coords_3d[0] - first.coords_3d[0], second.coords_3d[1] - first.coords_3d[1])
     angle = radians(second.rotation - first.rotation)
     half = half_height(first.shape, first.size)
     reach = half_height(second.shape, second.size) * (abs(cos(angle)) + abs(sin(angle)))

@@ -1,7 +1,6 @@
 """Generated scenes: that they are repeatable, what is placed where, and what is seen of it."""
 
 from collections import Counter
-from dataclasses import replace
 from itertools import combinations, product
 from math import cos, hypot, radians, sin
 
@@ -14,15 +13,13 @@ from services.rendering.opengl.gbuffer import rasterise
 from services.scenes.clevr.description import describe
 from services.scenes.clevr.generator import (
     MIN_PIXELS,
-    Placed,
     check,
     generate,
     object_numbers,
     overlap,
-    placed_in,
     visible_pixels,
 )
-from services.scenes.clevr.records import ATTRIBUTES, RADIUS, Rig, half_height
+from services.scenes.clevr.records import ATTRIBUTES, RADIUS, ObjectRecord, Rig, Vector, half_height
 from services.scenes.primitives import primitive
 from tests.unit.rendering.shapes import placed
 
@@ -102,8 +99,17 @@ def test_hidden_objects_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
 SHAPES = ("cube", "sphere", "cylinder")
 
 
-def standing(shape: str, size: str, x: float, y: float, rotation: float = 0.0) -> Placed:
-    return Placed(shape, size, "red", "metal", (x, y, half_height(shape, size)), rotation)
+def solid(shape: str, size: str, centre: Vector, rotation: float = 0.0) -> ObjectRecord:
+    about = {"shape": shape, "size": size, "color": "red", "material": "metal", "rotation": rotation}
+    return ObjectRecord.model_validate(about | {"coords_3d": centre, "pixel_coords": (0, 0, 0.0)})
+
+
+def standing(shape: str, size: str, x: float, y: float, rotation: float = 0.0) -> ObjectRecord:
+    return solid(shape, size, (x, y, half_height(shape, size)), rotation)
+
+
+def at(one: ObjectRecord, centre: Vector) -> ObjectRecord:
+    return one.model_copy(update={"coords_3d": centre})
 
 
 def directions() -> np.ndarray:
@@ -113,7 +119,7 @@ def directions() -> np.ndarray:
     return np.stack([flat * np.cos(turn), flat * np.sin(turn), np.sin(height)], -1).reshape(-1, 3)
 
 
-def extent(one: Placed, along: np.ndarray) -> np.ndarray:
+def extent(one: ObjectRecord, along: np.ndarray) -> np.ndarray:
     """How far a solid reaches from its centre in each direction."""
     radius = {"small": 0.35, "large": 0.7}[one.size]
     if one.shape == "sphere":
@@ -125,10 +131,12 @@ def extent(one: Placed, along: np.ndarray) -> np.ndarray:
     return half * abs(along @ axes.T).sum(1)
 
 
-def gap(one: Placed, other: Placed) -> float:
+def gap(one: ObjectRecord, other: ObjectRecord) -> float:
     """The largest gap between the projections of two solids on a direction; below 0 no plane separates them."""
     along = directions()
-    return float((along @ np.subtract(other.centre, one.centre) - extent(one, along) - extent(other, along)).max())
+    return float(
+        (along @ np.subtract(other.coords_3d, one.coords_3d) - extent(one, along) - extent(other, along)).max()
+    )
 
 
 @pytest.mark.parametrize(("first", "second"), list(product(SHAPES, repeat=2)))
@@ -150,7 +158,7 @@ def test_solids_overlap_unless_a_plane_separates_them(first: str, second: str) -
 def test_generated_scenes_pass() -> None:
     for k in range(30):
         scene = generate(2, k)
-        check(placed_in(scene), scene.rig)
+        check(scene.objects, scene.rig)
 
 
 @pytest.mark.parametrize(
@@ -165,18 +173,18 @@ def test_generated_scenes_pass() -> None:
 def test_a_misplaced_object_is_refused(move: tuple[float, float, float], said: str) -> None:
     first, second = standing("cube", "large", -1, 0, 30), standing("sphere", "large", 1, 0)
     check([first, second], Rig())
-    x, y, z = (a + b for a, b in zip(second.centre, move, strict=True))
+    x, y, z = (a + b for a, b in zip(second.coords_3d, move, strict=True))
     with pytest.raises(InvalidRequest, match=said) as caught:
-        check([first, replace(second, centre=(x, y, z))], Rig())
+        check([first, at(second, (x, y, z))], Rig())
     assert caught.value.field == "objects.1"
 
 
 def test_an_object_above_another_does_not_overlap_it() -> None:
     for one, other in product(SHAPES, repeat=2):
         below = standing(one, "small", 0, 0, 20)
-        above = replace(standing(other, "small", 0, 0), centre=(0, 0, 0.71 + half_height(other, "small")))
+        above = solid(other, "small", (0, 0, 0.71 + half_height(other, "small")))
         assert not overlap(below, above)
-        assert overlap(below, replace(above, centre=(0, 0, half_height(one, "small") + 0.1)))
+        assert overlap(below, at(above, (0, 0, half_height(one, "small") + 0.1)))
 
 
 @pytest.mark.parametrize("index", range(4))
@@ -186,7 +194,7 @@ def test_the_image_is_that_of_the_g_buffer_but_for_silhouettes(index: int) -> No
     buffer = rasterise(placed(description, *(primitive(o.mesh.split("/")[1]) for o in description.objects)))
     drawn = np.where(buffer.coverage.numpy() >= 0.5, buffer.object_index.numpy(), -1)
     drawn[drawn >= len(scene.objects)] = -1  # a floor is no object
-    numbers = object_numbers(placed_in(scene), scene.rig)
+    numbers = object_numbers(scene.objects, scene.rig)
     silhouettes = np.zeros(numbers.shape, bool)
     for k in (-1, *range(len(scene.objects))):
         silhouettes |= binary_dilation(numbers == k) & (numbers != k)
@@ -199,14 +207,14 @@ def test_the_image_is_that_of_the_g_buffer_but_for_silhouettes(index: int) -> No
 def test_generated_objects_are_seen_in_enough_pixels() -> None:
     for index in range(40):
         scene = generate(4, index)
-        assert min(visible_pixels(placed_in(scene), scene.rig)) >= MIN_PIXELS
+        assert min(visible_pixels(scene.objects, scene.rig)) >= MIN_PIXELS
 
 
 def test_an_object_behind_another_is_hidden_by_it() -> None:
     rig = Rig()
-    near = Placed("sphere", "large", "red", "metal", (0.0, 0.0, 0.7), 0.0)
+    near = solid("sphere", "large", (0.0, 0.0, 0.7))
     # The centre of the second lies on the ray from the eye through the first's.
-    far = Placed("sphere", "small", "blue", "metal", (-1.5 * 7.4811, 1.5 * 6.5076, 0.7 - 1.5 * 4.6437), 0.0)
+    far = solid("sphere", "small", (-1.5 * 7.4811, 1.5 * 6.5076, 0.7 - 1.5 * 4.6437))
     alone, hidden = visible_pixels([far], rig), visible_pixels([near, far], rig)
     assert alone[0] > 50
     assert hidden[1] == 0

@@ -6,7 +6,7 @@ import pytest
 from services.rendering.color import to_bytes
 from services.rendering.factory import build
 from services.scenes.clevr.description import describe
-from services.scenes.clevr.generator import generate, object_numbers, placed_in
+from services.scenes.clevr.generator import generate, object_numbers
 from services.scenes.clevr.records import RGB
 from services.scenes.library import Library
 from services.scenes.resolve import resolve
@@ -27,7 +27,7 @@ def test_coarse_and_varied_scenes_show_their_objects_where_they_are(renderer: st
     shown = draw(coarse(varied(SCENE, np.random.default_rng(1))), renderer, library).astype(np.float64)
     rig = RECORD.rig
     assert rig is not None
-    numbers = object_numbers(placed_in(RECORD), rig)
+    numbers = object_numbers(RECORD.objects, rig)
     for k, one in enumerate(RECORD.objects):
         mean, wanted = shown[numbers == k].mean(0), np.array(RGB[one.color], np.float64)
         for a, b in ((0, 1), (1, 2), (2, 0)):
