@@ -9,111 +9,48 @@ module reads the archive itself: the graph is JSON, the weights are plain bytes.
 import json
 import operator
 import zipfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
 from math import prod
 from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor, nn
+from torch.fx import Graph, Interpreter, Node
 
 from services.errors import Unreadable
 
 
-@dataclass(frozen=True)
-class Value:
-    """A reference to the result of an earlier step, a weight, or the input."""
+class _Steps(Interpreter):
+    """Runs a graph operation by operation. A failure names the operation, and is a RuntimeError."""
 
-    name: str
-
-
-class InputDevice:
-    """Stands for the device of the input, where a file names the device on which it was made."""
-
-
-@dataclass(frozen=True)
-class Step:
-    """One operation."""
-
-    label: str
-    """The operator and its place, for error messages."""
-    run: Callable[..., Any]
-    inputs: tuple[Any, ...]
-    outputs: tuple[str, ...]
-    keywords: Mapping[str, Any] = field(default_factory=dict)
+    def run_node(self, n: Node) -> Any:
+        """Returns the result of a node."""
+        try:
+            return super().run_node(n)
+        except (RuntimeError, TypeError, ValueError, IndexError) as error:
+            raise RuntimeError(f"{n.name}: {error}") from error
 
 
 class GraphNetwork(nn.Module):
-    """A frozen network of steps. It maps its one input to its one output, both tensors."""
+    """A frozen network of the operations of a graph. It maps its one input to its one output, both tensors.
 
-    def __init__(self, source: str, result: str, steps: Sequence[Step], weights: Mapping[str, Tensor]) -> None:
-        """`source` and `result` name input and output. Raises Unreadable if a step refers to a value that no step
-        makes.
-        """
+    The graph is interpreted: `torch.fx.GraphModule` would write Python code with names and texts of the file in it.
+    """
+
+    def __init__(self, graph: Graph, weights: Sequence[Tensor]) -> None:
+        """The graph calls its weights `weight_0`, `weight_1`, …"""
         super().__init__()
-        self._source, self._result, self._steps = source, result, tuple(steps)
-        self._buffer = {name: f"weight_{index}" for index, name in enumerate(weights)}
-        for name, value in weights.items():
-            self.register_buffer(self._buffer[name], value)
-        self._last = self._last_uses()
-
-    def _last_uses(self) -> dict[int, list[str]]:
-        """The values that are not needed any more after each step."""
-        known, last = {self._source, *self._buffer}, dict[str, int]()
-        for index, step in enumerate(self._steps):
-            for name in _names((step.inputs, tuple(step.keywords.values()))):
-                if name not in known:
-                    raise Unreadable(f"{step.label} needs {name!r:.80}, which nothing before it makes")
-                last[name] = index
-            known |= set(step.outputs)
-            last |= dict.fromkeys(step.outputs, index)
-        if self._result not in known:
-            raise Unreadable(f"nothing makes its output {self._result!r:.80}")
-        last.pop(self._result, None)
-        unused: dict[int, list[str]] = {}
-        for name, index in last.items():
-            if name not in self._buffer:
-                unused.setdefault(index, []).append(name)
-        return unused
+        self._graph = graph
+        for index, value in enumerate(weights):
+            self.register_buffer(f"weight_{index}", value)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Returns the output of the input x. Raises RuntimeError, naming the step, for a step that fails."""
-        values: dict[str, Any] = {name: getattr(self, buffer) for name, buffer in self._buffer.items()}
-        values[self._source] = x
-        for index, step in enumerate(self._steps):
-            inputs = _resolved(step.inputs, values, x.device)
-            keywords = {name: _resolved(value, values, x.device) for name, value in step.keywords.items()}
-            try:
-                output = step.run(*inputs, **keywords)
-            except (RuntimeError, TypeError, ValueError, IndexError) as error:
-                raise RuntimeError(f"{step.label}: {error}") from error
-            if len(step.outputs) == 1:
-                values[step.outputs[0]] = output
-            else:
-                values.update(zip(step.outputs, output, strict=False))
-            for name in self._last.get(index, ()):
-                values.pop(name, None)
-        result: Tensor = values[self._result]
+        """Returns the output of the input x. Raises RuntimeError, naming the operation, for one that fails."""
+        steps = _Steps(self, graph=self._graph)  # a new one, as it keeps its results
+        steps.extra_traceback = False
+        result: Tensor = steps.run(x)
         return result
-
-
-def _names(of: Any) -> Iterator[str]:
-    if isinstance(of, Value):
-        yield of.name
-    elif isinstance(of, tuple | list):
-        for item in of:
-            yield from _names(item)
-
-
-def _resolved(of: Any, values: Mapping[str, Any], device: torch.device) -> Any:
-    if isinstance(of, Value):
-        return values[of.name]
-    if isinstance(of, InputDevice):
-        return device
-    if isinstance(of, tuple | list):
-        return type(of)(_resolved(item, values, device) for item in of)
-    return of
 
 
 class FixedBatch(nn.Module):
@@ -282,9 +219,14 @@ def _network(program: Mapping[str, Any], weights: Mapping[str, Tensor], size: tu
     module = program["graph_module"]
     graph, signature = module["graph"], module["signature"]
     bound, source = _inputs(signature["input_specs"], weights)
-    result = _result(signature["output_specs"])
-    steps = [_step(index, node, bound) for index, node in enumerate(graph["nodes"])]
-    network = GraphNetwork(source, result, steps, bound)
+    made = Graph()
+    values = _Values({source: (x := made.placeholder("x"))})
+    device = made.call_function(getattr, (x, "device"))  # in place of the device on which the file was made
+    values |= {name: made.get_attr(f"weight_{index}") for index, name in enumerate(bound)}
+    for index, node in enumerate(graph["nodes"]):
+        _add_operation(made, f"node_{index}", node, values, device)
+    made.output(values[_result(signature["output_specs"])])
+    network = GraphNetwork(made, list(bound.values()))
     about = graph["tensor_values"][source]
     count = check_input([length.get("as_int") for length in about["sizes"]], size)
     if not _dtype(about["dtype"]).is_floating_point:
@@ -319,35 +261,42 @@ def _result(specs: list[dict[str, Any]]) -> str:
     return name
 
 
-def _step(index: int, node: Mapping[str, Any], weights: Mapping[str, Tensor]) -> Step:
+class _Values(dict[str, Node]):
+    """The results of a program by name, in the order in which they are made."""
+
+    def __missing__(self, name: str) -> Node:
+        raise Unreadable(f"it needs {name!r:.80}, which nothing before it makes")
+
+
+def _add_operation(graph: Graph, name: str, node: Mapping[str, Any], values: _Values, device: Node) -> None:
     target = node["target"]
-    run = operator_of(target)
-    inputs = [_argument(argument["arg"]) for argument in node["inputs"] if argument["kind"] == _POSITIONAL]
-    keywords = {
-        argument["name"]: _argument(argument["arg"]) for argument in node["inputs"] if argument["kind"] == _KEYWORD
-    }
-    if len(inputs) + len(keywords) != len(node["inputs"]):
+    inputs = [(argument["kind"], argument["name"], argument["arg"]) for argument in node["inputs"]]
+    if any(kind not in (_POSITIONAL, _KEYWORD) for kind, _, _ in inputs):
         raise Unreadable("it was exported by an old version of torch; export it with torch 2.8 or newer")
-    first = inputs[0] if inputs else None
-    if changes_its_input(target) and isinstance(first, Value) and first.name in weights:
-        raise Unreadable(f"{target} changes its weight {first.name!r:.80}; export the network in evaluation mode")
-    return Step(f"node {index} ({target})", run, tuple(inputs), tuple(_outputs(node["outputs"])), keywords)
+    positional = tuple(_argument(argument, values, device) for kind, _, argument in inputs if kind == _POSITIONAL)
+    keywords = {key: _argument(argument, values, device) for kind, key, argument in inputs if kind == _KEYWORD}
+    first = positional[0] if positional else None
+    if changes_its_input(target) and isinstance(first, Node) and first.op == "get_attr":
+        raise Unreadable(f"{target} changes its weight; export the network in evaluation mode")
+    label = f"{name}_{target.removeprefix('torch.ops.')}"
+    made = graph.create_node("call_function", operator_of(target), positional, keywords, label)
+    outputs = node["outputs"]
+    if len(outputs) == 1 and "as_tensors" not in outputs[0]:
+        values[_output_names(outputs[0])[0]] = made
+        return
+    for place, result in enumerate(name for output in outputs for name in _output_names(output)):
+        values[result] = graph.call_function(operator.getitem, (made, place))
 
 
-def _outputs(arguments: list[dict[str, Any]]) -> list[str]:
-    names: list[str] = []
-    for output in arguments:
-        ((kind, value),) = output.items()
-        if kind == "as_tensors":
-            names += [tensor["name"] for tensor in value]
-            # a list of one tensor is a list too
-            names += [""] if len(value) == 1 else []
-        else:
-            names.append(value["as_name"] if "as_name" in value else value["name"])
-    return names
+def _output_names(output: Mapping[str, Any]) -> list[str]:
+    """The names of the results that an output stands for: several where it is a list of tensors."""
+    ((kind, value),) = output.items()
+    if kind == "as_tensors":
+        return [tensor["name"] for tensor in value]
+    return [value["as_name"] if "as_name" in value else value["name"]]
 
 
-def _argument(argument: Mapping[str, Any]) -> Any:
+def _argument(argument: Mapping[str, Any], values: _Values, device: Node) -> Any:
     """The value of an argument in the schema's form, a dictionary with one key that says its kind."""
     ((kind, value),) = argument.items()
     if kind in _PLAIN:
@@ -359,9 +308,9 @@ def _argument(argument: Mapping[str, Any]) -> Any:
     if kind == "as_floats":
         return [float(element) for element in value]
     if kind in ("as_tensor", "as_sym_int", "as_sym_float", "as_sym_bool", "as_optional_tensor"):
-        return _named(value)
+        return _named(value, values)
     if kind in ("as_tensors", "as_sym_ints", "as_optional_tensors"):
-        return [_named(element) for element in value]
+        return [_named(element, values) for element in value]
     if kind == "as_scalar_type":
         return _dtype(value)
     if kind == "as_memory_format" and value in _FORMATS:
@@ -369,17 +318,17 @@ def _argument(argument: Mapping[str, Any]) -> Any:
     if kind == "as_layout" and value == _STRIDED:
         return torch.strided
     if kind == "as_device":
-        return InputDevice()
+        return device
     raise Unreadable(f"it has an argument of the kind {kind!r:.40}, which is not supported")
 
 
-def _named(value: Mapping[str, Any]) -> Any:
+def _named(value: Mapping[str, Any], values: _Values) -> Any:
     """A tensor or a length: {"name": …}, {"as_name": …}, {"as_int": …}, {"as_tensor": {"name": …}} or none."""
     for key in ("name", "as_name"):
         if key in value:
-            return Value(value[key])
+            return values[value[key]]
     if "as_tensor" in value:
-        return Value(value["as_tensor"]["name"])
+        return values[value["as_tensor"]["name"]]
     if "as_none" in value:
         return None
     ((_, number),) = value.items()
