@@ -11,7 +11,7 @@ import socket
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
@@ -27,17 +27,8 @@ from services.errors import InvalidRequest, JobFailure
 from services.logs import logger
 from services.scenes.bundle import MAX_FILES, Up, clean_name
 from services.scenes.image_file import MAX_PIXELS
-from services.scenes.mesh import (
-    FIT_RADIUS,
-    VERTEX_ATTRIBUTES,
-    AlphaMode,
-    Bytes,
-    Floats,
-    MapName,
-    MetallicRoughness,
-    Part,
-    TextureMap,
-)
+from services.scenes.mesh import FIT_RADIUS, VERTEX_ATTRIBUTES, AlphaMode, Bytes, Floats, MapName, Part
+from services.scenes.store import from_arrays, to_arrays
 
 MOST_PHRASES = 40
 """Phrases of each kind; the last says how many more there would be."""
@@ -65,7 +56,7 @@ def listed(phrases: Iterable[str]) -> tuple[str, ...]:
 Arrays = Mapping[str, NDArray[Any]]
 Unit = Annotated[float, Field(ge=0, le=1)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
-Index = Annotated[int, Field(ge=0)]
+Wrap = Literal[10497, 33071, 33648]
 Phrase = Annotated[str, Field(max_length=PHRASE_LENGTH)]
 _ROUNDING = 1.001
 
@@ -74,58 +65,45 @@ class _Record(BaseModel):
     model_config = ConfigDict(strict=True, extra="forbid")
 
 
-class _Map(_Record):
-    texels: Index
-    uv_set: Literal[0, 1]
-    wrap: Annotated[list[Literal[10497, 33071, 33648]], Field(min_length=2, max_length=2)]
-
-
 class _Material(_Record):
     metallic: Unit
     roughness: Unit
-    emissive: Annotated[list[Unit], Field(min_length=3, max_length=3)]
+    emissive: tuple[Unit, Unit, Unit]
     alpha_mode: AlphaMode
     alpha_cutoff: Annotated[Finite, Field(ge=0)]
     double_sided: bool
     normal_scale: Finite
     occlusion_strength: Unit
-    maps: dict[MapName, _Map]
-
-
-class _Part(_Record):
-    uv: bool
-    texels: Index | None
-    material: _Material | None
+    given: bool
+    maps: dict[MapName, tuple[Literal[0, 1], tuple[Wrap, Wrap]]]
 
 
 class _Document(_Record):
-    parts: Annotated[list[_Part], Field(min_length=1)]
+    parts: Annotated[int, Field(ge=1)]
+    materials: dict[str, _Material]
+    """The settings of materials, by the names that they have among the arrays."""
+    same: dict[str, str]
+    """The names of arrays that are sent once under another name."""
     used: Annotated[list[Phrase], Field(max_length=MOST_PHRASES)]
     dropped: Annotated[list[Phrase], Field(max_length=MOST_PHRASES)]
 
 
 def pack(parts: tuple[Part, ...], report: Report) -> bytes:
     """Returns the parts of a mesh and what became of its files as bytes for `unpack`."""
-    arrays: dict[str, NDArray[Any]] = {}
-    textures: dict[int, int] = {}
-
-    def texels(array: NDArray[Any]) -> int:
-        number = textures.setdefault(id(array), len(textures))
-        arrays[f"texels.{number}"] = array
-        return number
-
-    records = []
-    for k, part in enumerate(parts):
-        own = part.metallic_roughness
-        fields = {name: getattr(part, name) for name in ("vertices", "normals", "faces", "color", "uv")}
-        fields |= {} if own is None else {name: getattr(own, name) for name in VERTEX_ATTRIBUTES}
-        arrays |= {f"{k}.{name}": array for name, array in fields.items() if array is not None}
-        texture = None if part.texture is None else texels(part.texture)
-        material = None if own is None else _material_record(own, texels)
-        records.append(_Part(uv=part.uv is not None, texels=texture, material=material))
-    document = _Document(parts=records, used=list(report.used), dropped=list(report.dropped)).model_dump_json().encode()
-    arrays["document"] = np.frombuffer(document, np.uint8)
-    return save({name: np.ascontiguousarray(array) for name, array in arrays.items()})
+    arrays = to_arrays(parts)
+    texts = [name for name, array in arrays.items() if array.dtype.kind == "U"]
+    materials = {name: _Material.model_validate_json(str(arrays.pop(name))) for name in texts}
+    first: dict[int, str] = {}
+    same = {name: first.setdefault(id(array), name) for name, array in arrays.items()}
+    document = _Document(
+        parts=len(parts),
+        materials=materials,
+        same={name: sent for name, sent in same.items() if name != sent},
+        used=list(report.used),
+        dropped=list(report.dropped),
+    )
+    sent = {name: np.ascontiguousarray(arrays[name]) for name in first.values()}
+    return save(sent | {"document": np.frombuffer(document.model_dump_json().encode(), np.uint8)})
 
 
 def unpack(data: bytes, max_faces: int) -> tuple[tuple[Part, ...], Report]:
@@ -136,20 +114,26 @@ def unpack(data: bytes, max_faces: int) -> tuple[tuple[Part, ...], Report]:
     """
     arrays = _load(data)
     document = _Document.model_validate_json(_array(arrays, "document", np.uint8, None).tobytes())
-    textures = [
-        _array(arrays, f"texels.{k}", np.uint8, None, None, 4) for k in range(len(arrays)) if f"texels.{k}" in arrays
-    ]
-    if sum(texture.size for texture in textures) > 4 * MAX_PIXELS:
+    del arrays["document"]
+    if sum(array.size for array in arrays.values() if array.ndim == 3) > 4 * MAX_PIXELS:
         raise ValueError("it has too many texels")
-    parts = tuple(_part(arrays, k, record, textures) for k, record in enumerate(document.parts))
-    if sum(len(part.faces) for part in parts) > max_faces:
+    arrays |= {name: arrays[sent] for name, sent in document.same.items() if sent in arrays}
+    triangles = 0
+    for k in range(document.parts):
+        _check_part(arrays, k, document.materials.get(f"{k}.metallic_roughness"))
+        triangles += len(arrays[f"{k}.faces"])
+    if triangles > max_faces:
         raise ValueError(f"it has more than {max_faces:,} triangles")
-    return parts, Report(tuple(document.used), tuple(document.dropped))
-
-
-def _load(data: bytes) -> Arrays:
+    texts = {name: np.array(material.model_dump_json()) for name, material in document.materials.items()}
     try:
-        return load(data)
+        return from_arrays(arrays | texts), Report(tuple(document.used), tuple(document.dropped))
+    except (KeyError, TypeError) as error:
+        raise ValueError(f"an array is missing, or belongs to no part: {error}") from error
+
+
+def _load(data: bytes) -> dict[str, NDArray[Any]]:
+    try:
+        return dict(load(data))
     except Exception as error:  # safetensors has a class of its own, which is no ValueError
         raise ValueError(f"it is no safetensors file: {error}") from error
 
@@ -166,7 +150,7 @@ def _array(arrays: Arrays, name: str, kind: type[np.generic], *shape: int | None
     return array
 
 
-def _part(arrays: Arrays, k: int, record: _Part, textures: list[NDArray[Any]]) -> Part:
+def _check_part(arrays: Arrays, k: int, material: _Material | None) -> None:
     vertices = _array(arrays, f"{k}.vertices", np.float32, None, 3)
     normals = _array(arrays, f"{k}.normals", np.float32, len(vertices), 3)
     faces = _array(arrays, f"{k}.faces", np.int32, None, 3)
@@ -178,46 +162,15 @@ def _part(arrays: Arrays, k: int, record: _Part, textures: list[NDArray[Any]]) -
             raise ValueError(f"{k}.{name} are longer than {most:g}")
     if color.min() < 0 or color.max() > 1:
         raise ValueError(f"{k}.color is not in [0,1]")
-    return Part(
-        vertices=vertices,
-        normals=normals,
-        faces=faces,
-        uv=_array(arrays, f"{k}.uv", np.float32, len(vertices), 2) if record.uv else None,
-        color=color,
-        texture=None if record.texels is None else _texture(textures, record.texels),
-        metallic_roughness=None if record.material is None else _material(arrays, k, record.material, textures),
-    )
-
-
-def _material_record(material: MetallicRoughness, texels: Callable[[NDArray[Any]], int]) -> _Material:
-    fields = {name: getattr(material, name) for name in _Material.model_fields if name not in ("maps", "emissive")}
-    maps = {
-        name: _Map.model_validate(
-            {"texels": texels(texture.texels), "uv_set": texture.uv_set, "wrap": list(texture.wrap)}
-        )
-        for name, texture in material.maps.items()
-    }
-    return _Material(**fields, emissive=list(material.emissive), maps=maps)
-
-
-def _material(arrays: Arrays, k: int, record: _Material, textures: list[NDArray[Any]]) -> MetallicRoughness:
-    count = len(arrays[f"{k}.vertices"])
-    fields = {name: getattr(record, name) for name in _Material.model_fields if name not in ("maps", "emissive")}
-    attributes: dict[str, Any] = {
-        name: _array(arrays, f"{k}.{name}", np.float32, count, width) for name, width in VERTEX_ATTRIBUTES.items()
-    }
-    red, green, blue = record.emissive
-    maps = {
-        name: TextureMap(_texture(textures, texture.texels), texture.uv_set, (texture.wrap[0], texture.wrap[1]))
-        for name, texture in record.maps.items()
-    }
-    return MetallicRoughness(**fields, **attributes, emissive=(red, green, blue), maps=maps)
-
-
-def _texture(textures: list[NDArray[Any]], number: int) -> NDArray[Any]:
-    if number >= len(textures):
-        raise ValueError(f"there is no texels.{number}")
-    return textures[number]
+    if f"{k}.uv" in arrays:
+        _array(arrays, f"{k}.uv", np.float32, len(vertices), 2)
+    if f"{k}.texture" in arrays:
+        _array(arrays, f"{k}.texture", np.uint8, None, None, 4)
+    if material is not None:
+        for name, columns in VERTEX_ATTRIBUTES.items():
+            _array(arrays, f"{k}.metallic_roughness.{name}", np.float32, len(vertices), columns)
+        for name in material.maps:
+            _array(arrays, f"{k}.metallic_roughness.{name}", np.uint8, None, None, 4)
 
 
 START_SECONDS = 120.0

@@ -193,6 +193,7 @@ def document(old, new):
     return change
 
 
+FIRST_MAP = "0.metallic_roughness.base_color"
 LIES = {
     "not finite": replaced("0.vertices", lambda a: np.where(a == a[0, 0], np.float32(np.nan), a)),
     "beyond the frame": replaced("0.vertices", lambda a: a * np.float32(2)),
@@ -205,14 +206,16 @@ LIES = {
     "a negative vertex": replaced("0.faces", lambda a: a - np.int32(1)),
     "more vertices than corners": replaced("0.faces", lambda a: a[:1]),
     "a colour beyond 1": replaced("0.color", lambda a: a * np.float32(3)),
-    "a tangent less": replaced("0.tangents", lambda a: a[1:]),
-    "a texture without colours": replaced("texels.0", lambda a: a[..., :3].copy()),
+    "a tangent less": replaced("0.metallic_roughness.tangents", lambda a: a[1:]),
+    "a texture without colours": replaced(FIRST_MAP, lambda a: a[..., :3].copy()),
     "an array less": lambda arrays: arrays.pop("0.faces"),
+    "a part more": lambda arrays: arrays.update({"1.uv": arrays["0.uv"]}),
+    "a part that is not there": document(b'"parts":1', b'"parts":2'),
     "no document": lambda arrays: arrays.pop("document"),
     "metallic beyond 1": document(b'"metallic":', b'"metallic":7e'),
-    "a field more": document(b'"uv":', b'"pickle":1,"uv":'),
+    "a field more": document(b'"parts":', b'"pickle":1,"parts":'),
     "another alpha mode": document(b"OPAQUE", b"GLASS"),
-    "a texture that is not there": document(b'"texels":0', b'"texels":99'),
+    "a texture that is not there": lambda arrays: arrays.pop(FIRST_MAP),
     "another texture's wrap": document(b"10497", b"10498"),
 }
 
