@@ -124,3 +124,14 @@ def extent(parts):
     """Lengths [3] of the edges of the bounding box."""
     points = np.concatenate([part.vertices for part in parts])
     return points.max(axis=0) - points.min(axis=0)
+
+
+def same(one: object, other: object) -> bool:
+    """Whether two objects of data classes, mappings and arrays are equal to the bit."""
+    if isinstance(one, np.ndarray):
+        return isinstance(other, np.ndarray) and one.dtype == other.dtype and np.array_equal(one, other)
+    if isinstance(one, dict):
+        return isinstance(other, dict) and list(one) == list(other) and all(same(one[k], other[k]) for k in one)
+    if hasattr(one, "__dict__"):
+        return type(one) is type(other) and same(vars(one), vars(other))
+    return one == other

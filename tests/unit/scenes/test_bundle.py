@@ -123,6 +123,13 @@ def test_files_are_unpacked_by_their_paths():
     assert reader().unpack(data, MOST) == {"m/a.obj": b"v", "m/tex/w.png": b"2"}
 
 
+def scrambled():
+    """An entry whose compressed bytes are others; their check is never reached."""
+    data = bytearray(zipped(("a.obj", " ".join(map(str, range(1000))))))
+    data[40:400] = bytes(range(180)) * 2
+    return bytes(data)
+
+
 BAD = {
     "a path outside": (zipped(("../a.obj", b"v")), r"'../a.obj' points outside"),
     "an absolute path": (zipped(("/a.obj", b"v")), r"'/a.obj' points outside"),
@@ -135,6 +142,7 @@ BAD = {
     "encrypted": (encrypted(), "'a.obj' in the zip file is encrypted"),
     "another compression": (zipped(("a.obj", b"v" * 99), compression=zipfile.ZIP_LZMA), "not by deflate"),
     "two files of a name": (zipped(("a.obj", b"1"), ("A.OBJ", b"2")), "two files 'A.OBJ'"),
+    "other compressed bytes": (scrambled(), "the zip file is damaged, or cut off$"),
     "no zip file": (b"PK\x03\x04" + bytes(50), "damaged"),
     "cut off": (zipped(("a.obj", b"v" * 99))[:-30], "damaged"),
 }

@@ -3,7 +3,6 @@
 import zipfile
 from collections import Counter
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -20,7 +19,6 @@ from services.scenes.furniture import (
     with_slugs,
 )
 from services.scenes.library import Library
-from tests.unit.jobs.small import LIBRARY
 
 HEAD = "id=X\nname=Test Models catalog\nlicense=Creative Commons Attribution 3.0 license\n"
 
@@ -208,19 +206,3 @@ def test_kind_of_a_mesh() -> None:
     assert kind_of("furniture/couch") == "sofa"
     assert kind_of("primitive/cube") is None
     assert kind_of("couch") is None, "a mesh is named with its folder"
-
-
-@pytest.mark.parametrize("name", ["grand-piano", "soccer-ball", "desk"])
-def test_a_mesh_has_its_catalogue_size_in_all_three_directions(name: str) -> None:
-    [entry] = [one for one in LIBRARY.entries() if one.name == f"furniture/{name}"]
-    assert entry.size is not None
-    width, depth, height = entry.size
-    mesh = LIBRARY.mesh(entry.name)
-    assert mesh.centimetres is not None
-    points = np.concatenate([part.vertices[part.faces].reshape(-1, 3) for part in mesh.parts])
-    extent = (points.max(axis=0) - points.min(axis=0)) * mesh.centimetres
-    assert extent == pytest.approx([width, height, depth], rel=1e-3)
-
-
-def test_a_primitive_has_no_real_size() -> None:
-    assert LIBRARY.mesh("primitive/sphere").centimetres is None

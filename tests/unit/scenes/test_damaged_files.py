@@ -1,7 +1,5 @@
 """Files that are damaged in a way that only a parser notices: what is said of them is about the file."""
 
-import base64
-import zipfile
 from io import BytesIO
 
 import numpy as np
@@ -10,11 +8,9 @@ import trimesh
 from PIL import Image
 
 from services.errors import InvalidRequest
-from services.scenes.bundle import unpack_archive
-from services.scenes.environment import read_map
 from services.scenes.reading.companion_files import CompanionFiles
 from services.scenes.reading.formats import read_mesh
-from services.scenes.reading.process import SMALL_EXR, exported
+from services.scenes.reading.process import exported
 
 BOX = trimesh.creation.box()
 INTERNALS = ("Error", "Stream", "codec", "sys.", "Expecting", "int()", "float:", "method", "matmul", "seek")
@@ -45,23 +41,6 @@ def test_a_damaged_mesh_is_described_in_words(name: str) -> None:
     assert not [one for one in INTERNALS if one in raised.value.detail], raised.value.detail
 
 
-HDR = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\nEXPOSURE=much\n\n-Y 1 +X 1\n" + bytes(4)
-
-
-@pytest.mark.parametrize(
-    ("kind", "data", "said"),
-    [
-        ("exr", b"junk", "it is damaged, or cut off"),
-        ("exr", base64.b64decode(SMALL_EXR)[:200], "it is damaged, or cut off"),
-        ("hdr", HDR, "its EXPOSURE is 'much', which is no number"),
-    ],
-)
-def test_a_damaged_map_is_described_in_words(kind: str, data: bytes, said: str) -> None:
-    with pytest.raises(InvalidRequest) as raised:
-        read_map(data, kind)
-    assert raised.value.detail == f"it is not a readable {kind} map: {said}"
-
-
 def test_a_damaged_texture_is_described_in_words() -> None:
     buffer = BytesIO()
     noise = np.random.default_rng(3).integers(0, 256, (64, 64, 3), np.uint8)
@@ -71,14 +50,3 @@ def test_a_damaged_texture_is_described_in_words() -> None:
     with pytest.raises(InvalidRequest) as raised:
         read_mesh(obj, "obj", 10, CompanionFiles(files, "obj", obj))
     assert raised.value.detail == "it cannot be shown: a texture or its coordinates are damaged, or cut off"
-
-
-def test_a_damaged_zip_file_is_described_in_words() -> None:
-    buffer = BytesIO()
-    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr("a.obj", " ".join(map(str, range(1000))))
-    data = bytearray(buffer.getvalue())
-    data[40:400] = bytes(range(180)) * 2  # the compressed bytes; their check is never reached
-    with pytest.raises(InvalidRequest) as raised:
-        unpack_archive(bytes(data), 10_000)
-    assert raised.value.detail == "the zip file is damaged, or cut off"

@@ -183,7 +183,6 @@ HOSTILE = {
     "a file's entity in a dae": ("dae", lambda: with_doctype(dae()[0].decode(), OUTSIDE).encode(), "entities"),
     "UTF-16 in a dae": ("dae", lambda: with_doctype(dae()[0].decode(), ENTITY).encode("utf-16"), "UTF-8"),
     "UTF-7 in a dae": ("dae", lambda: dae()[0].replace(b"utf-8", b"utf-7"), "'utf-7'"),
-    "a dae cut off": ("dae", lambda: dae()[0][:-200], "not a readable dae"),
     "a billion triangles in a dae": ("dae", lambda: dae()[0].replace(b'count="1"', b'count="1000000000"'), "at most"),
     "deep XML in a dae": ("dae", lambda: b"<COLLADA>" + b"<a>" * 100_000, "not a readable dae"),
     "a zae": ("dae", lambda: zipped({"a.dae": dae()[0]}), "not a readable dae"),
@@ -191,10 +190,7 @@ HOSTILE = {
     "a bomb as 3mf": ("3mf", lambda: zipped({"3D/3dmodel.model": bytes(2**22)}), "unpacks to"),
     "a 3mf with a path outside": ("3mf", lambda: zipped({"../3dmodel.model": b"<model/>"}), "points outside"),
     "a 3mf without a model": ("3mf", lambda: zipped({"a.txt": b""}), "no 3D model"),
-    "no 3mf": ("3mf", lambda: MODEL.encode(), "no zip file"),
     "glTF 1": ("gltf", lambda: b'{"asset": {"version": "1.0"}}', "glTF '1.0'"),
-    "a glb as gltf": ("gltf", lambda: b"glTF" + bytes(50), "JSON"),
-    "nested JSON": ("gltf", lambda: b'{"a":' + b"[" * 200_000, "not a readable gltf"),
     "a file's address in a gltf": (
         "gltf",
         lambda: json.dumps(json.loads(gltf()[0]) | {"buffers": [{"uri": "/etc/passwd", "byteLength": 9}]}).encode(),

@@ -11,6 +11,7 @@ from services.errors import JobFailure
 from services.scenes.furniture import IDENTITY, Model, load_model
 from services.scenes.mesh import FIT_RADIUS
 from services.scenes.reading.surfaces import read_opacity
+from tests.unit.scenes.mesh_files import extent
 
 pytestmark = pytest.mark.slow
 
@@ -63,11 +64,6 @@ def make(tmp_path, mtl="newmtl side\nKd 1 0 0\nnewmtl front\nKd 0 1 0\n", obj=BO
 
 def load(tmp_path, **changes):
     return load_model(model(**changes), tmp_path, tmp_path / "cache")
-
-
-def extent(parts):
-    points = np.concatenate([part.vertices for part in parts])
-    return points.max(axis=0) - points.min(axis=0)
 
 
 def front(mesh):
@@ -258,10 +254,11 @@ def test_a_sample_of_every_library_loads(library, part):
         assert np.allclose(points.min(axis=0), -points.max(axis=0), atol=1e-4), entry.name
         width, depth, height = entry.size
         size = extent(mesh.parts)
-        # A model that is flat in the file stays flat; else it has the catalogue's proportions.
+        # A model that is flat in the file stays flat; else it has the catalogue's size.
         solid = size > 1e-6
-        ratio = size[solid] / np.array([width, height, depth])[solid]
-        assert np.allclose(ratio, ratio[0], rtol=1e-3), entry.name
+        assert np.allclose(size[solid] * mesh.centimetres, np.array([width, height, depth])[solid], rtol=1e-3), (
+            entry.name
+        )
         for p in mesh.parts:
             assert np.allclose(np.linalg.norm(p.normals, axis=1), 1, atol=1e-4), entry.name
             assert p.texture is None or p.uv is not None

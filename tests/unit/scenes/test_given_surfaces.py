@@ -107,16 +107,6 @@ def test_descriptions_without_them_are_as_before():
     assert '"metallic":0.0' in canonical_json(whole)
 
 
-def test_the_digest_moves_with_each(library):
-    below = {"height": -0.7}
-    scenes = [{}, {"floor": below}, {"floor": below | {"size": 5}}, {"floor": below | {"roughness": 0.5}}]
-    described = [Scene.model_validate({"objects": [CUBE]} | more) for more in scenes]
-    described += [Scene.model_validate({"objects": [CUBE | {"metallic": x}]}) for x in (0.0, 1.0)]
-    described.append(Scene.model_validate({"objects": [CUBE | {"roughness": 0.5}]}))
-    digests = {resolve(scene, library).sha256 for scene in described}
-    assert len(digests) == len(described)
-
-
 def test_objects_of_the_same_mesh_and_surface_share_it(library):
     things = [CUBE | {"metallic": 1.0}, CUBE, CUBE | {"metallic": 1.0, "color": (1, 0, 0)}, CUBE | {"metallic": 0.5}]
     first, plain, same, other = resolve(Scene.model_validate({"objects": things}), library).meshes

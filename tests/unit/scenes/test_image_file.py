@@ -9,7 +9,6 @@ import pytest
 from PIL import Image
 
 from services.scenes.image_file import MAX_PIXELS, open_image
-from tests.unit.scenes.mesh_files import MAX_FACES, assert_refused
 from tests.unit.scenes.test_gltf import one, read, texture_of
 
 POSTSCRIPT = b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 8 8\n%%EndComments\nshowpage\n%%EOF\n"
@@ -99,13 +98,6 @@ def test_an_image_of_too_many_pixels_is_refused_by_its_header(data, monkeypatch)
 
 def test_the_largest_image_is_taken():
     assert open_image(png_of_size(2**13, 2**13)).size == (2**13, 2**13)
-
-
-@pytest.mark.parametrize("data", [POSTSCRIPT, stored("BMP"), png_of_size(2**20, 2**20)])
-def test_a_texture_that_is_no_image_is_refused_by_its_place(data):
-    assert_refused(
-        one({}, texture_of(data)).glb(), "glb", "images[0] is not a readable image: it ", max_faces=MAX_FACES
-    )
 
 
 def test_a_webp_texture_is_read_by_its_extension():

@@ -96,6 +96,9 @@ def test_the_digest_moves_with_every_part_of_the_scene(library):
         scene(lights={"environment": {"rotation": 0.1}}),
         scene(lights={"points": []}),
         scene(ground=(0, 0, 0)),
+        *(scene({"mesh": "primitive/cube", "metallic": metallic}) for metallic in (0.0, 1.0)),
+        scene({"mesh": "primitive/cube", "roughness": 0.5}),
+        *(scene(floor={"height": -0.7} | more) for more in ({}, {"size": 5}, {"roughness": 0.5})),
     ]
     digests = [resolve(s, library).sha256 for s in scenes]
     assert len(set(digests)) == len(digests)

@@ -9,9 +9,8 @@ import pytest
 import torch
 from torch import nn
 
-from services.errors import InvalidRequest
 from services.process import replaced
-from services.targets.image_networks import ALEXNET, RESNET34, load_published
+from services.targets.image_networks import RESNET34, load_published
 from services.targets.labels import imagenet_labels
 
 
@@ -65,12 +64,3 @@ def test_a_file_that_runs_code_is_refused_and_does_not_run(server, tmp_path):
     with pytest.raises(pickle.UnpicklingError):
         load_published(card, lambda _: _network(), torch.float32)
     assert not trace.exists()
-
-
-@pytest.mark.usefixtures("_cache")
-def test_without_a_network_the_request_is_refused_with_the_place_of_the_file(tmp_path):
-    nowhere = ALEXNET.model_copy(update={"source": f"http://127.0.0.1:9/{ALEXNET.source.rpartition('/')[2]}"})
-    with pytest.raises(InvalidRequest) as caught:
-        load_published(nowhere, lambda _: pytest.fail("it is built"), torch.float32)
-    assert caught.value.field == "target.name"
-    assert str(tmp_path / "weights" / "alexnet-owt-7be5be79.pth") in caught.value.detail

@@ -125,17 +125,6 @@ def scene(request: pytest.FixtureRequest):
     return generate(11, request.param)
 
 
-def test_relations_are_those_along_the_camera_s_axes(scene) -> None:
-    description = describe(scene)
-    pose = camera_to_world(description.camera)
-    right, towards = pose[:3, 0], pose[:3, 2]
-    away = -np.array([towards[0], 0.0, towards[2]]) / np.hypot(towards[0], towards[2])
-    centres = np.array([one.translation for one in description.objects])
-    for name, along in (("right", right), ("left", -right), ("behind", away), ("front", -away)):
-        offsets = (centres[None] - centres[:, None]) @ along
-        assert [list(row) for row in scene.relationships[name]] == [list(np.flatnonzero(row > 0.2)) for row in offsets]
-
-
 def test_pixel_coordinates_are_the_projected_centres(scene) -> None:
     camera = describe(scene).camera
     world = np.array([[*one.translation, 1.0] for one in describe(scene).objects])
