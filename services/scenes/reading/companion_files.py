@@ -1,16 +1,16 @@
 """The files beside a mesh file: which ones it names, and how its parser finds them, by those names and nothing else.
 
-XML files that are not trusted are checked and searched without being parsed.
+XML files that are not trusted are checked before they are parsed: entities are refused.
 """
 
 import json
 import posixpath
 import re
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from functools import cached_property
 from io import BytesIO
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from urllib.parse import unquote
 
 from services.errors import DAMAGED, InvalidRequest, Unreadable
@@ -50,9 +50,6 @@ _SLOTS = {
 }
 """Role of an image by the slot of a COLLADA effect that has it. Only the first role, the texture, is shown."""
 
-_INIT_FROM = re.compile(r"<init_from>([^<]*)(?:<ref>([^<]*))?")
-_SOURCE = re.compile(r"<(?:source|init_from)>([^<]*)|<instance_image\s+url=\"#([^<\"]*)\"")
-
 
 def check_xml(data: bytes) -> None:
     """Raises Unreadable for a document type, which is where entities are declared, or an unusual encoding.
@@ -69,53 +66,39 @@ def check_xml(data: bytes) -> None:
 
 
 def collada_images(data: bytes) -> list[Named]:
-    """Returns the image files that a COLLADA file names: those that effects use, and then the others."""
-    text = data.decode("utf-8", "replace")
-    files = {}
-    for head, body in _elements(text, "image"):
-        name, found_file = _attribute(head, "id"), _INIT_FROM.search(body)
-        file = "" if found_file is None else (found_file[1].strip() or (found_file[2] or "").strip())
-        if name and file:
-            files[name] = _unescaped(file)
+    """Returns the image files that a COLLADA file names: those that effects use, and then the others.
+
+    It returns none of a file that cannot be read; whoever reads it says why.
+    """
+    from lxml import etree  # most meshes are no XML
+
+    parser = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False, huge_tree=True)
+    try:
+        check_xml(data)
+        root = etree.fromstring(data, parser)
+    except (Unreadable, etree.XMLSyntaxError):
+        return []
+
+    def text(element: Any) -> str:
+        return "".join(element.itertext()).strip()
+
+    files = {image.get("id"): text(source) for image in root.iter("{*}image") for source in image.iter("{*}init_from")}
+    files = {name: file.removeprefix("file:///").removeprefix("file://") for name, file in files.items() if file}
     used_images = []
-    for _, effect in _elements(text, "effect"):
-        params = {}
-        for head, body in _elements(effect, "newparam"):
-            name, source = _attribute(head, "sid"), _SOURCE.search(body)
-            if name and source:
-                params[name] = (source[1] or source[2] or "").strip()
+    for effect in root.iter("{*}effect"):
+        params: dict[str | None, str] = {}
+        for param in effect.iter("{*}newparam"):
+            for source in param.iter("{*}source", "{*}init_from", "{*}instance_image"):
+                params.setdefault(param.get("sid"), text(source) or source.get("url", "").removeprefix("#"))
         for slot, what in _SLOTS.items():
-            for used in re.findall(rf"<{slot}\b[^<>]*>\s*<texture\b[^<>]*?\btexture=\"([^<\"]+)\"", effect):
-                image = used
+            for texture in effect.iterfind(f".//{{*}}{slot}/{{*}}texture"):
+                image = texture.get("texture")
                 for _ in range(3):
                     image = params.get(image, image)
                 if image in files:
                     used_images.append(Named(files[image], what))
     named = {image.name for image in used_images}
     return [*used_images, *(Named(name, "image") for name in files.values() if name not in named)]
-
-
-def _elements(text: str, name: str) -> Iterator[tuple[str, str]]:
-    """Yields the attributes and the content of each element of a name that has an end.
-
-    It looks at every character a few times at most. An expression that looks for the end of each beginning takes
-    minutes for a file of beginnings alone.
-    """
-    for begins in text.split(f"</{name}>")[:-1]:
-        start = re.search(rf"<{name}\b([^<>]*)>", begins)
-        if start:
-            yield start[1], begins[start.end() :]
-
-
-def _attribute(head: str, name: str) -> str | None:
-    match = re.search(rf"\b{name}=\"([^\"]+)\"", head)
-    return None if match is None else match[1]
-
-
-def _unescaped(text: str) -> str:
-    for written, meant in (("&lt;", "<"), ("&gt;", ">"), ("&quot;", '"'), ("&apos;", "'"), ("&amp;", "&")):
-        text = text.replace(written, meant)
-    return text.removeprefix("file:///").removeprefix("file://")
 
 
 MAX_NAMES = 500

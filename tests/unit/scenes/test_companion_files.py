@@ -167,7 +167,7 @@ EFFECT = """<effect id="e"><profile_COMMON>
 
 
 def test_images_are_named_by_what_they_are_to_an_effect() -> None:
-    assert collada_images((IMAGES + EFFECT).encode()) == [
+    assert collada_images(f"<COLLADA>{IMAGES}{EFFECT}</COLLADA>".encode()) == [
         Named("wood%20grain.png", "texture"),
         Named("bumps & dents.png", "bump map"),
         Named("spare.png", "image"),
