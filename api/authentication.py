@@ -57,7 +57,7 @@ class Authentication(HttpMiddleware):
         scope.setdefault("state", {})["caller"] = None
         try:
             services: Services = scope["app"].state.services
-            caller = await services.reading(_caller, services, scope)
+            caller = await run_in_threadpool(_caller, services, scope)
             scope["state"]["caller"] = caller
             if caller is not None and caller.key and services.keys.use_is_due(caller.key):
                 await run_in_threadpool(services.keys.record_use, caller.key)  # a write, which may wait for others

@@ -37,7 +37,7 @@ from api.middleware import (
     utf8_form,
 )
 from api.problems import install
-from api.requests import Reading, Services
+from api.requests import Services
 from api.routes import artifacts, assets, campaigns, job_exports, jobs, rerenderings, service
 from api.routes.service import ServiceMetrics
 from api.submissions import Checks, Submissions
@@ -116,7 +116,6 @@ def create_app(values: Settings) -> FastAPI:
             assets=owned,
             quotas=quotas,
             record=record,
-            reading=Reading(engine),
             queue=queue,
             submissions=Submissions(record, queue, quotas, names, values.max_queued),
             store=store,

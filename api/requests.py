@@ -7,7 +7,7 @@ import asyncio
 import re
 from collections.abc import Callable, Coroutine
 from dataclasses import dataclass
-from typing import Annotated, Any, ParamSpec, TypeVar
+from typing import Annotated, Any, TypeVar
 
 from fastapi import Body, Depends, Header, HTTPException, Query, Request
 from fastapi.exceptions import RequestValidationError
@@ -15,8 +15,6 @@ from pydantic import BaseModel, GetCoreSchemaHandler, GetJsonSchemaHandler, Vali
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, core_schema
 from redis.exceptions import RedisError
-from sqlalchemy import Engine
-from starlette.concurrency import run_in_threadpool
 
 from api.problems import BadRequestField
 from api.schemas import JobView
@@ -28,7 +26,6 @@ from services.access.caller import Caller, OwnedAssets, Quotas
 from services.access.keys import AccessKeys, Sessions
 from services.errors import InvalidRequest
 from services.jobs.campaigns import Counts
-from services.jobs.database import READS_SQLITE
 from services.jobs.files import ArtifactStore, Storage
 from services.jobs.models import Job
 from services.jobs.queue import Queue
@@ -68,28 +65,6 @@ async def client(request: Request, caller: CallerDependency) -> str:
 Client = Annotated[str, Depends(client)]
 
 
-P = ParamSpec("P")
-T = TypeVar("T")
-
-
-class Reading:
-    """Reads by an index, of a few rows: in the event loop if the record is SQLite's, which is part of this process,
-    and in a thread otherwise.
-
-    Such a read takes less time than its way to a thread and back while the processor is busy. If a thread is reading at
-    the moment, which may take long, the event loop does not wait for it and hands the read over, too.
-    """
-
-    def __init__(self, engine: Engine) -> None:
-        self._is_here = engine.dialect.name == "sqlite"
-
-    async def __call__(self, read: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
-        """Returns what the function `read` returns."""
-        if self._is_here and not READS_SQLITE.locked():
-            return read(*args, **kwargs)
-        return await run_in_threadpool(read, *args, **kwargs)
-
-
 @dataclass(frozen=True)
 class Services:
     """Keys, sessions, uploads and quotas, the record of jobs and campaigns, the queue, the files, and what checks,
@@ -101,7 +76,6 @@ class Services:
     assets: OwnedAssets
     quotas: Quotas
     record: Record
-    reading: Reading
     queue: Queue
     submissions: Submissions
     store: ArtifactStore
@@ -133,9 +107,9 @@ async def services(request: Request) -> Services:  # a function that is not asyn
 ServicesDependency = Annotated[Services, Depends(services)]
 
 
-async def known_job(job_id: str, services: ServicesDependency, caller: CallerDependency) -> Job:
+def known_job(job_id: str, services: ServicesDependency, caller: CallerDependency) -> Job:
     """The job with the id in the path, without request and result. Answers 404 if there is none for the caller."""
-    job = caller.visible(await services.reading(services.record.jobs.line, job_id))
+    job = caller.visible(services.record.jobs.line(job_id))
     if job is None:
         raise no_such("job")
     return job

@@ -36,10 +36,6 @@ class StreamKeys:
         """Prefixes of the streams' keys that have ended."""
         self._looked = float("-inf")
 
-    def __bool__(self) -> bool:
-        """Whether there are streams."""
-        return bool(self._streams)
-
     @contextmanager
     def waiting(self, key: str) -> Iterator[None]:
         """Counts a stream of the key with this prefix ("": of a service without keys) while it is entered."""

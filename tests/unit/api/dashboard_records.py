@@ -10,10 +10,9 @@ from typing import Any, cast
 import httpx
 from fastapi import FastAPI
 from httpx import ASGITransport
-from sqlalchemy import create_engine
 
 from api import dashboard
-from api.requests import Reading, Services, caller
+from api.requests import Services, caller
 from services.access.caller import KEYLESS
 from services.jobs.database import connect, migrate
 from services.jobs.leases import Attempt
@@ -233,7 +232,6 @@ def app(record: Record, queue: Queue | None = None) -> FastAPI:
         checks=none,
         uploads=none,
         exporter=none,
-        reading=Reading(create_engine("sqlite://")),
         watcher=none,
         storage=none,
         deleted_assets=none,

@@ -1,4 +1,3 @@
-import asyncio
 import itertools
 from concurrent.futures import ThreadPoolExecutor
 
@@ -8,7 +7,6 @@ from httpx import Client
 
 from api.requests import Services
 from api.warm_pool import TooSlow
-from services.jobs.models import Job
 from services.jobs.states import Priority
 from tests.processes import command_line
 from tests.unit.api.conftest import SPHERE
@@ -180,23 +178,3 @@ def test_a_job_is_deleted_once_it_has_ended(client: Client, finished: str) -> No
     assert refused.status_code == 409
     assert "queued" in refused.json()["detail"]
     assert client.get(f"/v1/jobs/{waiting}").status_code == 200
-
-
-def test_a_job_with_a_result_is_not_read_in_the_event_loop(
-    client: Client, services: Services, finished: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Its trace may have a hundred thousand rows; the event loop would answer nobody for seconds."""
-    without_result, in_loop = services.record.jobs.get, []
-
-    def get(job_id: str, *, with_result: bool = False) -> Job | None:
-        if not with_result:
-            return without_result(job_id)
-        try:
-            in_loop.append(asyncio.get_running_loop() is not None)
-        except RuntimeError:
-            in_loop.append(False)
-        return None
-
-    monkeypatch.setattr(services.record.jobs, "get", get)
-    assert client.get(f"/v1/jobs/{finished}").status_code == 404
-    assert in_loop == [False]
