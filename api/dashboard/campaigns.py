@@ -15,6 +15,7 @@ from api.cursors import campaign_cursor, read_campaign_cursor
 from api.dashboard.charts import Chart, chart
 from api.dashboard.pages import HEADERS, html, part_of
 from api.requests import CallerDependency, ServicesDependency, no_such
+from api.routes.campaigns import WholeCampaign
 from services.analysis.campaign_table import (
     CASE_FIELDS,
     GRID_MEASURES,
@@ -198,7 +199,7 @@ def campaigns(
 @router.get("/campaigns/{campaign_id}")
 @router.get("/parts/campaigns/{campaign_id}")
 def campaign(
-    campaign_id: str,
+    stored: WholeCampaign,
     request: Request,
     services: ServicesDependency,
     caller: CallerDependency,
@@ -211,9 +212,6 @@ def campaign(
     """The page of one campaign, with a heat map of two fields, which its script does not reload; `row` and `column`
     open a cell of it.
     """
-    stored = caller.visible(services.record.campaigns.get(campaign_id, whole=True))
-    if stored is None:
-        raise no_such("campaign")
     result = services.record.campaigns.result(stored, curves=False)
     attacked = sorted(result.views, key=lambda view: not view.chosen)
     cells = [cell for cell in result.table.cells if cell.success.of]

@@ -125,16 +125,6 @@ def test_the_table_is_there_from_the_start(client: Client) -> None:
     assert client.get(f"{campaign}/jobs").json() == {"items": [], "next": None}
 
 
-@pytest.mark.parametrize("path", ["", "/table.json", "/table.csv", "/views", "/jobs"])
-def test_an_unknown_campaign_is_not_found(client: Client, path: str) -> None:
-    assert client.get(f"/v1/campaigns/none{path}").status_code == 404
-
-
-@pytest.mark.parametrize("move", ["pause", "resume", "cancel"])
-def test_an_unknown_campaign_cannot_be_moved(client: Client, move: str) -> None:
-    assert client.post(f"/v1/campaigns/none/{move}").status_code == 404
-
-
 def test_its_page_shows_it(client: Client, services: Services) -> None:
     campaign = start(client, SPEC | {"name": "<script>alert(1)</script>"})["id"]
     for path in ("/campaigns", "/parts/campaigns", f"/campaigns/{campaign}", f"/parts/campaigns/{campaign}"):
