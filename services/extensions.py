@@ -5,12 +5,11 @@ registers nothing, and its error is reported.
 """
 
 import re
-import signal
 import sys
 import threading
 import traceback
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, redirect_stdout
+from contextlib import redirect_stdout
 from dataclasses import dataclass
 from hashlib import sha256
 from importlib import import_module
@@ -26,8 +25,6 @@ Entry = TypeVar("Entry")
 
 NAME = re.compile(r"[a-z0-9][a-z0-9_-]{0,63}")
 _NUMBERS = count()
-LOAD_SECONDS = 60.0
-"""Longest time for running an extension file. Importing torch, the slowest thing that one should do, takes about 2."""
 
 
 class Registry(Mapping[str, Entry], Generic[Entry]):
@@ -115,8 +112,7 @@ class Extension:
 def load(paths: Sequence[Path], registries: Sequence[Registry[Any]]) -> tuple[Extension, ...]:
     """Runs each file, and each .py file of each folder but those whose name begins with "_", in alphabetical order.
 
-    If a file fails, its registrations are undone, so that it is loaded completely or not at all. In the main thread, a
-    file that takes longer than `LOAD_SECONDS` fails.
+    If a file fails, its registrations are undone, so that it is loaded completely or not at all.
     """
     extensions: list[Extension] = []
     for path in paths:
@@ -159,7 +155,7 @@ def _load(path: Path, registries: Sequence[Registry[Any]]) -> Extension:
     sys.modules[module.__name__] = module  # pydantic and dataclasses look up the module of a class
     try:
         # stdout is the command's: with --json it is read by a program
-        with redirect_stdout(sys.stderr), _time_limit(LOAD_SECONDS), _no_thread_left():
+        with redirect_stdout(sys.stderr):
             exec(compile(data, str(path), "exec", dont_inherit=True), module.__dict__)
     except KeyboardInterrupt:
         raise
@@ -170,35 +166,6 @@ def _load(path: Path, registries: Sequence[Registry[Any]]) -> Extension:
         return Extension(path, digest, error=_error_line(error, path))
     adds = {(r.kind, name) for r, entries in zip(registries, before, strict=True) for name in r if name not in entries}
     return Extension(path, digest, frozenset(adds))
-
-
-@contextmanager
-def _time_limit(seconds: float) -> Iterator[None]:
-    """Raises TimeoutError after `seconds` in the block. Only the main thread can be interrupted."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
-    def late(_number: int, _frame: object) -> None:
-        raise TimeoutError(f"it was still running after {seconds:g} s")
-
-    before = signal.signal(signal.SIGALRM, late)
-    signal.setitimer(signal.ITIMER_REAL, seconds, 1.0)  # again each second, for a file that catches the first
-    try:
-        yield
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
-        signal.signal(signal.SIGALRM, before)
-
-
-@contextmanager
-def _no_thread_left() -> Iterator[None]:
-    """Raises RuntimeError if the block leaves a thread running for which Python would wait when the process ends."""
-    before = set(threading.enumerate())
-    yield
-    left = [thread.name for thread in set(threading.enumerate()) - before if not thread.daemon]
-    if left:
-        raise RuntimeError(f"it leaves {left[0]} running, which keeps processes from ending; make it a daemon thread")
 
 
 def _error_line(error: BaseException, path: Path) -> str:

@@ -121,32 +121,6 @@ def test_a_path_that_cannot_be_read_is_left_out(path: str, why: str, tmp_path: P
     assert found.sha256 is None
 
 
-def test_a_file_that_does_not_end_is_left_out(
-    shapes: Registry[int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(extensions, "LOAD_SECONDS", 0.2)
-    found = loaded(tmp_path, endless=REGISTER + "SHAPES.add('square', 4)\nwhile True: pass\n", good="x = 1\n")
-    assert "line 3: TimeoutError: it was still running after 0.2 s" in (found["endless"].error or "")
-    assert found["good"].error is None
-    assert set(shapes) == {"triangle"}
-
-
-def test_a_file_that_leaves_a_thread_running_is_left_out(shapes: Registry[int], tmp_path: Path) -> None:
-    """Every command of the command line would wait for the thread when it ends."""
-    start = REGISTER + "import threading\nstop = threading.Event()\nSHAPES.add('{0}', 4)\n"
-    start += (
-        "thread = threading.Thread(target=stop.wait, name='poller', daemon={1})\nthread.stop = stop\nthread.start()\n"
-    )
-    running = set(threading.enumerate())
-    found = loaded(tmp_path, stays=start.format("square", False), ends=start.format("cube", True))
-    assert "leaves poller running" in (found["stays"].error or "")
-    assert found["ends"].error is None
-    assert set(shapes) == {"cube", "triangle"}
-    for thread in set(threading.enumerate()) - running:
-        vars(thread)["stop"].set()
-        thread.join()
-
-
 @pytest.mark.usefixtures("shapes")
 def test_an_interrupt_is_the_users(tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
