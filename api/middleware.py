@@ -26,7 +26,6 @@ import structlog
 from fastapi import Response
 from prometheus_client import CollectorRegistry, Histogram, ProcessCollector
 from python_multipart.multipart import parse_options_header
-from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
@@ -115,8 +114,6 @@ def _template(scope: Scope) -> str:
     return getattr(scope.get("route"), "path_format", None) or "none"
 
 
-THREADED = 2**16
-"""Bytes of an answer from which on it is hashed in a thread, so that the event loop answers others meanwhile."""
 _KEPT = (b"etag", b"cache-control", b"x-content-type-options", b"content-security-policy")
 """Headers of an answer that 304 has, too."""
 
@@ -143,8 +140,7 @@ class Conditional(HttpMiddleware):
             headers["Cache-Control"] = "private, no-cache"
             if not message.get("more_body", False):
                 # Weak: compressed or not, the content is the same.
-                body = message["body"]
-                headers["ETag"] = await run_in_threadpool(etag, body) if len(body) >= THREADED else etag(body)
+                headers["ETag"] = etag(message["body"])
                 if client_etags is not None and matches(client_etags, headers["ETag"]):
                     kept = [(k, v) for k, v in begun["headers"] if k in _KEPT]
                     begun["status"], begun["headers"], message["body"] = 304, kept, b""

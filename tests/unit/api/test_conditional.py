@@ -1,15 +1,10 @@
-import asyncio
 import gzip
 import re
-import threading
 
-import httpx
 import pytest
 from httpx import Client
-from starlette.responses import Response
 
 from api.dashboard.pages import prose
-from api.middleware import THREADED, Conditional, etag
 
 GZIP = {"accept-encoding": "gzip"}
 PLAIN = {"accept-encoding": "identity"}
@@ -89,27 +84,3 @@ def test_the_description_in_words_names_every_operation_and_type(client: Client)
 
 def test_prose_is_escaped_and_has_code_between_backticks() -> None:
     assert prose("a `<b>` & `c") == "a <code>&lt;b&gt;</code> &amp; <code>c</code>"
-
-
-@pytest.mark.parametrize(("size", "beside"), [(THREADED, True), (THREADED - 1, False)])
-def test_a_large_answer_is_hashed_beside_the_event_loop(
-    monkeypatch: pytest.MonkeyPatch, size: int, beside: bool
-) -> None:
-    hashed_in: list[int] = []
-
-    def hashed(body: bytes) -> str:
-        hashed_in.append(threading.get_ident())
-        return etag(body)
-
-    monkeypatch.setattr("api.middleware.etag", hashed)
-    app = Conditional(Response(b"x" * size, media_type="application/json"))
-
-    async def asked() -> tuple[httpx.Response, int]:
-        transport = httpx.ASGITransport(app)
-        async with httpx.AsyncClient(transport=transport, base_url="http://localhost") as client:
-            return await client.get("/v1/jobs/a"), threading.get_ident()
-
-    answer, loop = asyncio.run(asked())
-    assert answer.content == b"x" * size
-    assert answer.headers["etag"] == etag(answer.content)
-    assert [thread != loop for thread in hashed_in] == [beside]
