@@ -14,6 +14,7 @@ from services.accuracy.work_precision import scene_options, shading
 from services.accuracy.work_precision.attacks import AttackRow, Success, successes
 from services.accuracy.work_precision.scene_options import OptionRow
 from services.accuracy.work_precision.shading import GROUPS, ShadingRow
+from services.rendering.plan import Tolerance
 
 NAME = "work-precision"
 DEFAULT = 1e-3
@@ -80,7 +81,7 @@ class Report(BaseModel):
 def _shading(extent: Extent) -> Iterator[ShadingRow]:
     for mesh, material, size, maps in extent.subjects:
         for texels in maps:
-            yield from shading.rows(shading.subject(mesh, material, size, texels), extent.enough)
+            yield from shading.rows(mesh, material, size, texels, extent.enough)
 
 
 PARTS: dict[str, Callable[[Extent], Iterable[BaseModel]]] = {
@@ -130,16 +131,11 @@ def write(made: Report, folder: Path) -> None:
 
 # The page
 
-SUMS = """The sum over all directions and lobes of {row.object} under a map of {row.map[0]}×{row.map[1]}, with
-gradients by all three groups. The compiled kernels use float32 within a tolerance and float64 exactly. Without a
-compiler, torch computes the same more slowly. bfloat16 is not accurate enough, and float16 cannot hold the
-exponentials of lobes."""
-
 TOLERANCE = f"""The default, {DEFAULT:g}, is a quarter of a step of 8 bits. The verdict is on the exact image at every
 tolerance: an error may cost an attack steps, but nothing is verified because of it. `exact` is for studies of
 gradients and comparisons with other programs."""
 
-PLANS = """*Largest* and *estimate* are errors of a displayed value, against the float64 sum; *gradient* is the largest
+PLANS = """*Largest* and *estimate* are errors of a displayed value, against the exact image; *gradient* is the largest
 relative error (L2) of the attacked groups' gradients. Seconds are of an image and its gradient. The scene is some
 way into an attack. Where a table was tried and its check failed, the note says so: that image cost more."""
 
@@ -171,8 +167,7 @@ OMISSIONS = """
 
 def markdown(made: Report) -> str:
     """The page of the measured parts: the choice of a tolerance, then error against seconds, option by option."""
-    plans = [row for row in made.shading if row.tolerance is not None]
-    sums = [row for row in made.shading if row.tolerance is None and row.map == DEFAULT_MAP]
+    plans = made.shading
     attacks = successes(made.attacks)
     # All groups on every subject, and single groups on the first one under the default map.
     shown = [row for row in plans if row.groups == GROUPS or (row.mesh, row.map) == (plans[0].mesh, DEFAULT_MAP)]
@@ -183,7 +178,6 @@ def markdown(made: Report) -> str:
         TOLERANCE,
         *_tolerances(made, plans, attacks),
         *_section("Plans", PLANS, PLAN_COLUMNS, shown),
-        *_section("Types of number", SUMS, SUM_COLUMNS, [row for row in sums if row.mesh == sums[0].mesh]),
         *_section("Resolution of the environment map", MAPS, OPTION_COLUMNS, made.maps),
         *_section("Resolution of shadows", SHADOWS, OPTION_COLUMNS, made.shadows),
         *_section("Surfaces, floor and shadows", SCENES, OPTION_COLUMNS, made.scenes),
@@ -209,10 +203,9 @@ def _tolerances(made: Report, plans: Sequence[ShadingRow], attacks: Sequence[Suc
         verified = ", ".join(f"{row.verified} of {len(row.attacks)} ({tolerance})" for tolerance, row in by.items())
         steps = ", ".join(f"{row.seconds_per_step:.2g} s ({tolerance})" for tolerance, row in by.items())
         points.append(f"Attacks on all three torch groups were verified in {verified}; a step took {steps}.")
-    judged = [row for row in plans if row.estimate is not None and row.largest is not None]
-    if judged:
-        held = sum((row.largest or 0) <= max(row.estimate or 0, EXACTLY) for row in judged)
-        points.append(f"The largest error of an image was within the plan's estimate in {held} of {len(judged)} plans.")
+    if plans:
+        held = sum(row.largest <= max(row.estimate, EXACTLY) for row in plans)
+        points.append(f"The largest error of an image was within the plan's estimate in {held} of {len(plans)} plans.")
     default_map = [row.largest for row in made.maps if row.setting == DEFAULT_MAP_SETTING]
     if default_map:
         points.append(
@@ -239,16 +232,12 @@ def _grid(texels: tuple[int, int]) -> str:
     return f"{texels[0]}×{texels[1]}"
 
 
-def _named(tolerance: float | str | None) -> str:
+def _named(tolerance: Tolerance) -> str:
     return f"{tolerance:g}" if isinstance(tolerance, float) else str(tolerance)
 
 
-def _gradient(row: ShadingRow) -> str:
-    return small(max(row.gradient.values(), default=None))
-
-
-def _seconds(seconds: float | None) -> str:
-    return "" if seconds is None else f"{seconds:.2g}"
+def _seconds(seconds: float) -> str:
+    return f"{seconds:.2g}"
 
 
 def _work(median: float) -> str:
@@ -262,16 +251,9 @@ PLAN_COLUMNS: dict[str, Callable[[ShadingRow], str]] = {
     "tolerance>": lambda row: _named(row.tolerance),
     "largest>": lambda row: small(row.largest),
     "estimate>": lambda row: small(row.estimate),
-    "gradient>": _gradient,
+    "gradient>": lambda row: small(max(row.gradient.values())),
     "seconds>": lambda row: _seconds(row.seconds),
-    "note": lambda row: row.note,
-}
-SUM_COLUMNS: dict[str, Callable[[ShadingRow], str]] = {
-    "type": lambda row: row.dtype,
-    "kernel": lambda row: row.kernel,
-    "largest>": lambda row: small(row.largest),
-    "gradient>": _gradient,
-    "seconds>": lambda row: _seconds(row.seconds),
+    "note": lambda row: "checked, and summed pixel by pixel after all" if row.summed else "",
 }
 OPTION_COLUMNS: dict[str, Callable[[OptionRow], str]] = {
     "scene": lambda row: row.scene,

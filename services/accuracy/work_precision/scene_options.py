@@ -1,14 +1,15 @@
 """Cost and error of a scene's options: sizes of its map and of its shadows, surfaces, a floor, shadows."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
+from statistics import median
+from time import perf_counter
 
 import torch
 from pydantic import BaseModel, ConfigDict, Field
 from torch import Tensor
 
 from services.accuracy.placing import library, placed
-from services.accuracy.work_precision.shading import repeated
 from services.attacks.problem import generator
 from services.rendering.factory import build
 from services.rendering.plan import Tolerance, image_error
@@ -36,6 +37,9 @@ SHADOWS: dict[str, list[dict[str, int]]] = {
 TOLERANCES: tuple[Tolerance, ...] = (1e-2, 1e-3, "exact")
 REACHES = {"pyrender": MEASURED_REACH, "torch": MAX_PERTURBATION}
 """Distance by which an attack moves a coordinate of each group, by renderer."""
+LEAST, MOST = 5, 15
+"""Repeats of what is timed. Work that takes longer than LONG seconds is repeated three times."""
+LONG = 1.0
 
 
 class OptionRow(BaseModel):
@@ -159,3 +163,18 @@ def moved(renderer: Renderer, reach: Mapping[str, float]) -> Parameters:
         low, high = (bound.double() for bound in renderer.bounds()[group])
         parameters[group] = torch.clamp(value + reach[group] * (2 * random - 1), low, high).float().double()[None]
     return parameters
+
+
+def repeated(work: Callable[[], object], enough: float) -> float:
+    """Median seconds of LEAST to MOST repeats, as many as fit into `enough` seconds. Warm up before."""
+    seconds = [_seconds(work)]
+    least = LEAST if seconds[0] < LONG else 3
+    while len(seconds) < least or (len(seconds) < MOST and sum(seconds) < enough):
+        seconds.append(_seconds(work))
+    return median(seconds)
+
+
+def _seconds(work: Callable[[], object]) -> float:
+    began = perf_counter()
+    work()
+    return perf_counter() - began

@@ -7,10 +7,14 @@ from torch import Tensor
 
 from services.accuracy.placing import library
 from services.accuracy.work_precision import scene_options
-from services.accuracy.work_precision.shading import GROUPS, Subject, subject, truth
+from services.accuracy.work_precision.scene_options import moved
+from services.accuracy.work_precision.shading import GROUPS, REACH, shaded, smooth_weights, subject
 from services.attacks.problem import generator
-from services.rendering.torch_renderer.planner import exact_recipe
+from services.rendering.opengl.gbuffer import rasterise
+from services.rendering.protocol import Parameters
+from services.rendering.torch_renderer.renderer import TorchRenderer
 from services.rendering.torch_renderer.shader import Shader
+from services.scenes.resolve import ResolvedScene
 from tests.unit.accuracy import independent
 
 pytestmark = pytest.mark.slow
@@ -21,51 +25,62 @@ DIRECTIONS = 4
 """Random directions, of coordinates ±1, along which derivatives are compared in each group."""
 
 
-@pytest.fixture(scope="module")
-def small() -> Subject:
-    return subject(*SMALL)
+def differences(scene: ResolvedScene) -> dict[str, float]:
+    """The largest differences of the exact renderer from the independent program, at PIXELS pixels of the object.
 
-
-# The reference
-
-
-def differences(of: Subject) -> dict[str, float]:
-    """The largest differences of the float64 shader from the independent program, at PIXELS pixels of the object.
-
-    Of displayed values at the moved values, of derivatives by each group relative to ‖gradient‖·‖direction‖, and of
+    Of displayed values some way into an attack, of derivatives by each group relative to ‖gradient‖·‖direction‖, and of
     normals (radians) and displayed values where the program takes its normals from rays.
     """
-    some = of.only(torch.linspace(0, len(of.pixels) - 1, PIXELS).long())
-    light = independent.Light(independent.texels(library().environment("studio").radiance, *of.map))
-    view, base = of.scene.view, some.surface.base_color.numpy().astype(np.longdouble)
-    coverage, weights = some.coverage.numpy(), some.weights.numpy()
-    at = {group: value.numpy().astype(np.longdouble) for group, value in some.moved.items()}
-    wanted = truth(some, GROUPS)
+    gbuffer = rasterise(scene)
+    covered = gbuffer.coverage.flatten().nonzero()[:, 0]
+    pixels = covered[torch.linspace(0, len(covered) - 1, PIXELS).long()]
+    renderer = TorchRenderer(scene, gbuffer, GROUPS, "exact")
+    weights = torch.zeros(gbuffer.coverage.numel(), 3, dtype=torch.float64)
+    weights[pixels] = smooth_weights(renderer.size).reshape(-1, 3)[pixels]
+    moved_values = moved(renderer, REACH)
+    image, gradients = shaded(renderer, moved_values, weights.reshape(*renderer.size, 3))
 
-    def image(values: dict[str, independent.Number]) -> independent.Number:
-        normals = independent.normals_of(values["normals"], view)
-        return coverage * independent.displayed(light, view, normals, values["illumination"], values["material"], base)
+    def seen(values: Parameters) -> dict[str, Tensor]:
+        """Normals [PIXELS, 2], intensities [D] and the material [3, 3, 2, 6] of the object."""
+        normals = values["normals"].reshape(-1, 2)[pixels]
+        material = values["material"].reshape(3, 3, 2, 6)
+        return {"normals": normals, "illumination": values["illumination"].flatten(), "material": material}
 
-    found = {"image": float(np.abs(image(at) - wanted.image.numpy()).max())}
-    for group in GROUPS:
+    rows, cols, _ = scene.environment.shape
+    light = independent.Light(independent.texels(library().environment("studio").radiance, rows, cols))
+    base = gbuffer.base_color.reshape(-1, 3)[pixels].numpy().astype(np.longdouble)
+    coverage = gbuffer.coverage.flatten()[pixels, None].double().numpy()
+    ground = (1 - coverage) * np.array(scene.description.ground)
+
+    def independent_image(values: dict[str, independent.Number]) -> independent.Number:
+        normals, rest = (
+            independent.normals_of(values["normals"], scene.view),
+            (values["illumination"], values["material"]),
+        )
+        return coverage * independent.displayed(light, scene.view, normals, *rest, base) + ground
+
+    at = {group: value.numpy().astype(np.longdouble) for group, value in seen(moved_values).items()}
+    shown = image.reshape(-1, 3)[pixels].numpy()
+    found = {"image": float(np.abs(independent_image(at) - shown).max())}
+    for group, gradient in seen(gradients).items():
         random = generator(0, "work-precision", "independent", group)
         off = []
         for _ in range(DIRECTIONS):
-            signs = (torch.rand(some.moved[group].shape, generator=random, dtype=torch.float64) - 0.5).sign()
+            signs = (torch.rand(gradient.shape, generator=random, dtype=torch.float64) - 0.5).sign()
             step = at | {group: at[group] + 1j * np.longdouble(independent.STEP) * signs.numpy()}
-            derivative = (weights * image(step).imag).sum() / independent.STEP
-            size = float(wanted.gradients[group].norm() * signs.norm())
-            off.append(abs(float(derivative) - float((wanted.gradients[group] * signs).sum())) / size)
+            derivative = (weights[pixels].numpy() * independent_image(step).imag).sum() / independent.STEP
+            size = float(gradient.norm() * signs.norm())
+            off.append(abs(float(derivative) - float((gradient * signs).sum())) / size)
         found[f"derivative by {group}"] = max(off)
-    own = {"normals": some.surface.angles, "illumination": some.intensity, "material": some.surface.material}
-    start = {group: value.numpy().astype(np.longdouble) for group, value in own.items()}
-    shaded = some.image(Shader(exact_recipe(of.sky), of.sky, some.surface, of.intensity), own).numpy()
-    rays, whole = independent.normals_by_rays(of.scene, some.pixels.numpy())
+    start = {group: value.numpy().astype(np.longdouble) for group, value in seen(renderer.initial()).items()}
+    own = renderer.render({})[0].reshape(-1, 3)[pixels].numpy()
+    rays, whole = independent.normals_by_rays(scene, pixels.numpy())
     whole &= coverage[:, 0] == 1
-    by_rays = independent.displayed(light, view, rays[whole], start["illumination"], start["material"], base[whole])
-    normals = independent.normals_of(start["normals"], view)[whole]
+    rest = (start["illumination"], start["material"], base[whole])
+    by_rays = independent.displayed(light, scene.view, rays[whole], *rest)
+    normals = independent.normals_of(start["normals"], scene.view)[whole]
     found["normals by rays"] = float(np.linalg.norm((rays[whole] - normals).astype(np.float64), axis=1).max())
-    found["image, normals by rays"] = float(np.abs(by_rays - shaded[whole]).max())
+    found["image, normals by rays"] = float(np.abs(by_rays - own[whole]).max())
     return found
 
 
@@ -79,7 +94,7 @@ def test_the_reference_is_an_independent_programs(texels: tuple[int, int]) -> No
 
 
 @pytest.mark.parametrize("factor", [1 + 1e-9, -1])
-def test_a_reference_that_is_wrong_is_seen(small: Subject, factor: float, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_reference_that_is_wrong_is_seen(factor: float, monkeypatch: pytest.MonkeyPatch) -> None:
     """A sum off by 1e-9, and one whose image is right and whose gradient has the other sign."""
     honest = Shader.__call__
 
@@ -88,7 +103,7 @@ def test_a_reference_that_is_wrong_is_seen(small: Subject, factor: float, monkey
         return whole * factor if factor > 0 else 2 * whole.detach() - whole
 
     monkeypatch.setattr(Shader, "__call__", wrong)
-    found = differences(small)
+    found = differences(subject(*SMALL))
     assert (found["image"] > 1e-11) == (factor > 0)
     assert max(value for what, value in found.items() if "derivative" in what) > 1e-11
 
