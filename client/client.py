@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
     from api.schemas import BadField, CampaignSummary, CampaignView, FailureView, JobSummary, JobView, Uploaded
     from services.analysis.records import Subset
-    from services.attacks.outcome import TraceRow
+    from services.attacks.trace import TraceRow
     from services.pipeline.campaign_spec import CampaignSpec
     from services.pipeline.result import Outcome, Result
     from services.pipeline.spec import JobSpec, RerenderingSpec

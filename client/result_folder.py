@@ -11,8 +11,7 @@ from services.errors import InvalidRequest
 
 if TYPE_CHECKING:
     from api.schemas import ArtifactView
-    from services.attacks.request import Goal
-    from services.pipeline.spec import JobSpec
+    from services.pipeline.spec import Goal, JobSpec
 
 REMEDY = "name another folder, or remove this one"
 

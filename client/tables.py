@@ -17,7 +17,7 @@ from services.analysis.records import (
     Subset,
     Transferred,
 )
-from services.attacks.outcome import SUCCESS, WRONG_BEFORE, Verdict, held_within
+from services.analysis.verdict import SUCCESS, WRONG_BEFORE, Verdict, held_within
 from services.pipeline.question_record import Asked, QuestionResult, first_changed
 from services.pipeline.result import JobWarning, Outcome
 from services.questions.program import TYPE_WORDS, Program

@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from services import disk
-from services.attacks.outcome import wilson
+from services.analysis.verdict import wilson
 from services.rendering import color
 from services.rendering.factory import build
 from services.scenes.description import Camera, Scene, SceneObject

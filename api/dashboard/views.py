@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from api.dashboard.charts import Chart, chart, upset
-from services.attacks.outcome import judge
+from services.analysis.verdict import judge
 from services.jobs.models import Artifact, Event, Job, State
 from services.jobs.record import Record
 from services.pipeline.names import group_words, question_names

@@ -5,8 +5,8 @@ from collections.abc import Mapping
 from datetime import datetime
 from typing import Any
 
-from services.attacks.outcome import WRONG_BEFORE as WRONG_BEFORE
-from services.attacks.outcome import held_within as held_within
+from services.analysis.verdict import WRONG_BEFORE as WRONG_BEFORE
+from services.analysis.verdict import held_within as held_within
 from services.text import signed
 from services.text import small as small
 

@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, model_validator
 
 from services.accuracy.tables import rows_as_json
 from services.analysis.campaign_table import Case, MeanCurves, Table, table
-from services.attacks.outcome import SUCCESS
+from services.analysis.verdict import SUCCESS
 
 
 class _Record(BaseModel):

@@ -17,7 +17,7 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from services.attacks.outcome import NORMAL_95, wilson
+from services.analysis.verdict import NORMAL_95, wilson
 
 
 class _Record(BaseModel):

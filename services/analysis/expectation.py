@@ -3,8 +3,8 @@
 from collections.abc import Callable, Collection
 
 from services.analysis.records import HeldOver
+from services.analysis.verdict import SUCCESS, judge, wilson
 from services.attacks.goal import ResolvedGoal
-from services.attacks.outcome import SUCCESS, judge, wilson
 from services.attacks.problem import draw_variation
 from services.attacks.request import Expectation
 from services.attacks.run import Verifier

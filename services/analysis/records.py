@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from services.attacks.outcome import Verdict
+from services.analysis.verdict import Verdict
 from services.rendering.physical_change import PhysicalChange
 from services.scenes.description import Model
 from services.strict import reference

@@ -10,8 +10,8 @@ from torch import Tensor
 
 from services.analysis.records import Transferred
 from services.analysis.rerendering import said
+from services.analysis.verdict import judge
 from services.attacks.goal import ResolvedGoal
-from services.attacks.outcome import judge
 from services.attacks.run import Verifier
 
 

@@ -1,20 +1,14 @@
-"""Aim of an attack in a request: the answer that it wants, the loss, and the range of views and light
-over which an adversary is to hold. This module does not import torch.
+"""Settings of attacks that others read too: the loss, the seed, and the range of views and light over which an
+adversary is to hold. This module does not import torch.
 """
 
-import operator
 from typing import Annotated, Literal, get_args
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
 from services.rendering.declaration import Declaration
 from services.scenes.description import Model
-from services.targets.info import LONGEST_LABEL
 
-MAX_LABELS = 1000
-"""Largest number of labels that count as one answer."""
-Label = Annotated[str, Field(min_length=1, max_length=LONGEST_LABEL)] | Annotated[int, Field(ge=0)]
-Labels = Label | Annotated[tuple[Label, ...], Field(max_length=MAX_LABELS)]
 Degrees = Annotated[float, Field(ge=0, le=180, allow_inf_nan=False)]
 Relative = Annotated[float, Field(ge=0, le=0.9, allow_inf_nan=False)]
 VIEWS = ("azimuth", "elevation", "distance", "roll")
@@ -26,53 +20,8 @@ LOSS_DESCRIPTION = (
     "what is minimised: `log-odds` of the label to leave (in place of cross-entropy, whose direction it has), `margin` "
     "of its score over the largest other, or `dlr`, the margin divided by the spread of the largest scores"
 )
-
-
 LARGEST_SEED = 2**63 - 1
 Seed = Annotated[int, Field(ge=0, le=LARGEST_SEED)]
-
-
-class Goal(Model):
-    """The answer that the attack wants from the network. A label is a name or an index.
-
-    Non-targeted: the network must answer none of the labels in `leave`. Targeted: it must answer `reach`. `truth` says
-    which answers are right; it decides the outcome, and which labels count as one answer.
-
-    If `leave` is given, the network's answer to the original image must be among it. If it is left out, it is filled
-    in: with the truth if that answer is right, else with that answer and the labels that mean the same.
-    """
-
-    truth: Labels | None = Field(
-        None,
-        description="the true label, or all labels that are right; where it is left out it is taken from the table of "
-        "library meshes, else from `leave`; an empty list says that nobody knows it",
-    )
-    leave: Labels | None = Field(
-        None,
-        description="the label, or all labels, which the network must stop answering; where the truth is left out and "
-        "the table has none, it is taken for the truth",
-    )
-    reach: Label | None = Field(None, description="the label that the network must answer (targeted)")
-    least_confidence: float = Field(
-        0.0,
-        ge=0,
-        lt=1,
-        allow_inf_nan=False,
-        description="least probability of the new answer for the goal to be met",
-    )
-    leave_kind: bool = Field(
-        False,
-        exclude_if=operator.not_,
-        description="of a question: the new answer must be of another kind than the question asks for, such as `yes` "
-        "to a question about a shape",
-    )
-
-    @field_validator("leave")
-    @classmethod
-    def _something_to_leave(cls, value: Labels | None) -> Labels | None:
-        if value == ():
-            raise ValueError("an empty list has no label to leave; leave the field out")
-        return value
 
 
 class Expectation(Model):

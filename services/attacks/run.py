@@ -17,7 +17,6 @@ from services import disk
 from services.attacks.attack import Attack, State
 from services.attacks.differences import ImageDifferences
 from services.attacks.goal import ResolvedGoal
-from services.attacks.outcome import AttackCost, TraceRow
 from services.attacks.problem import (
     AttackProblem,
     Counts,
@@ -30,6 +29,7 @@ from services.attacks.problem import (
     evaluate,
 )
 from services.attacks.square import Square
+from services.attacks.trace import AttackCost, TraceRow
 from services.errors import JobFailure, named, summary
 from services.rendering.color import from_bytes, to_bytes
 from services.rendering.plan import ImageError
@@ -40,7 +40,7 @@ from services.targets.scores import probability
 
 StopReason = Literal["verified", "queries", "seconds", "steps"]
 
-EVERY = 2.0
+CHECKPOINT_SECONDS = 2.0
 """Seconds between checkpoints."""
 DIFFERENCES = "image_differences"
 """Name among a result's settings of those of `ImageDifferences`."""
@@ -325,7 +325,7 @@ class AttackRun:
 
     def save_if_due(self) -> None:
         """Writes the checkpoint, if there is to be one, every few seconds."""
-        if self.checkpoint is not None and monotonic() - self.last_saved > EVERY:
+        if self.checkpoint is not None and monotonic() - self.last_saved > CHECKPOINT_SECONDS:
             save(self.checkpoint, self)
             self.last_saved = monotonic()
 

@@ -16,7 +16,7 @@ import torch
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from pydantic import BaseModel
 
-from services.attacks.outcome import TraceRow
+from services.attacks.trace import TraceRow
 from services.export.parameters import ParameterTable
 from services.pipeline.exported_targets import FOLDER, ExportedTarget
 from services.pipeline.names import attack_name, group_words

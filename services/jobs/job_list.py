@@ -21,7 +21,7 @@ from sqlalchemy import ColumnElement, Float, Row, Select, and_, case, func, lite
 from sqlalchemy import delete as deletion
 from sqlalchemy.orm import InstrumentedAttribute
 
-from services.attacks.outcome import Verdict
+from services.analysis.verdict import Verdict
 from services.errors import InvalidRequest
 from services.jobs.database import Database
 from services.jobs.models import Job, JobKind, JobTag, State, UtcTime

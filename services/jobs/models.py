@@ -27,7 +27,7 @@ from sqlalchemy import (
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 from sqlalchemy.sql.elements import ColumnElement
 
-from services.attacks.outcome import SUCCESS
+from services.analysis.verdict import SUCCESS
 from services.jobs.states import CampaignState as CampaignState
 from services.jobs.states import JobKind as JobKind
 from services.jobs.states import Priority, times_of

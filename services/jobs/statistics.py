@@ -14,7 +14,7 @@ from sqlalchemy import event, func, select
 from sqlalchemy.orm import Session
 
 from services.analysis.campaign_table import Rate
-from services.attacks.outcome import SUCCESS
+from services.analysis.verdict import SUCCESS
 from services.jobs.database import Database, insert, now
 from services.jobs.models import Campaign, Job, JobKind, State, Total, not_paused
 

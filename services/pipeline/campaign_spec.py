@@ -25,11 +25,11 @@ from pydantic import (
 
 from services.analysis.records import AnalysisRequest
 from services.attacks.attack import Attack
-from services.attacks.request import Goal, Seed
+from services.attacks.request import Seed
 from services.errors import InvalidFields, InvalidRequest
 from services.pipeline.field_errors import invalid_fields
 from services.pipeline.question_record import MOST_TOGETHER
-from services.pipeline.spec import AnyAttack, AnyTolerance, JobSpec, TargetChoice, check_labels, with_method
+from services.pipeline.spec import AnyAttack, AnyTolerance, Goal, JobSpec, TargetChoice, check_labels, with_method
 from services.questions.families import FAMILIES, Kind
 from services.questions.generator import QuestionGenerator, QuestionRecord
 from services.rendering.plan import DEFAULT_TOLERANCE

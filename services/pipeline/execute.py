@@ -19,10 +19,10 @@ from services.analysis.records import Answer, HeldOver
 from services.analysis.subsets import ScoredImage, scored, subsets
 from services.attacks.leave_out import LeftOut, leave_out
 from services.attacks.limits import at_epsilon
-from services.attacks.outcome import TraceRow
 from services.attacks.problem import AttackProblem
 from services.attacks.run import AttackRun, check_masking, run_attack
 from services.attacks.run import best as best_of_checkpoint
+from services.attacks.trace import TraceRow
 from services.errors import Cancelled
 from services.pipeline.analyse import Report, Subject, analyse
 from services.pipeline.extensions import loaded_extensions

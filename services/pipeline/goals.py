@@ -14,15 +14,14 @@ from torch import Tensor
 from services.analysis.images import answer
 from services.analysis.subsets import ScoredImage
 from services.analysis.transfer import indices
+from services.analysis.verdict import Verdict, judge
 from services.attacks.goal import ResolvedGoal
 from services.attacks.limits import Constraint
-from services.attacks.outcome import Verdict, judge
-from services.attacks.request import MAX_LABELS, Goal
 from services.errors import InvalidRequest
 from services.pipeline.preview_record import FirstAnswer
 from services.pipeline.question_record import Asked, QuestionResult
 from services.pipeline.result import JobWarning, warnings
-from services.pipeline.spec import AskedGoal, asked_goal, with_same
+from services.pipeline.spec import MAX_LABELS, AskedGoal, Goal, asked_goal, with_same
 from services.rendering.plan import Plan
 from services.rendering.protocol import Parameters
 from services.targets import registry

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 from pydantic import AliasChoices, BaseModel, ConfigDict, Field
 
 from services.analysis.records import Answer
-from services.attacks.outcome import Verdict
+from services.analysis.verdict import Verdict
 from services.errors import InvalidRequest
 from services.questions.program import MAX_NODES, InvalidProgram, Program
 from services.scenes.clevr.description import Generate, scene_of

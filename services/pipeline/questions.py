@@ -15,16 +15,15 @@ from torch import Tensor
 from services.analysis.images import answer as answer_to
 from services.analysis.images import save_png
 from services.analysis.subsets import ScoredImage
+from services.analysis.verdict import SUCCESS, Verdict, judge
 from services.attacks.goal import ResolvedGoal
-from services.attacks.outcome import SUCCESS, Verdict, judge
-from services.attacks.request import Goal
 from services.errors import InvalidRequest
 from services.pipeline.described import can_carry, described
 from services.pipeline.goals import Classification, Settled, Task
 from services.pipeline.preview_record import FirstAnswer
 from services.pipeline.question_record import ATTENTION, Asked, Attended, Call, QuestionResult
 from services.pipeline.scene_limits import SceneLimits
-from services.pipeline.spec import JobSpec, TargetChoice
+from services.pipeline.spec import Goal, JobSpec, TargetChoice
 from services.questions.executor import ANSWERS, KINDS, Facts, IllPosed, answer, kind_asked
 from services.questions.program import InvalidProgram, Program, Type, program_in
 from services.questions.text import difference

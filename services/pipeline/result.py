@@ -10,7 +10,8 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from services.analysis.records import Analyses, Answer, Attribution, HeldOver, Subset
-from services.attacks.outcome import SUCCESS, AttackCost, TraceRow, Verdict
+from services.analysis.verdict import SUCCESS, Verdict
+from services.attacks.trace import AttackCost, TraceRow
 from services.pipeline.question_record import QuestionResult
 from services.rendering.physical_change import Change
 from services.rendering.plan import ImageError, Plan

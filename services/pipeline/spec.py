@@ -30,7 +30,7 @@ from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, cor
 
 from services.analysis.records import AnalysisRequest, Rerendering, RerenderingRequest
 from services.attacks.attack import ATTACKS, Attack
-from services.attacks.request import Goal, Label, Labels, Seed
+from services.attacks.request import Seed
 from services.errors import InvalidFields, InvalidRequest
 from services.pipeline.field_errors import invalid_fields
 from services.pipeline.question_record import MOST_TOGETHER, Call, Calls, Text, program, with_scene
@@ -41,7 +41,7 @@ from services.scenes.clevr.description import Generate
 from services.scenes.clevr.records import SceneRecord
 from services.scenes.description import Model, Scene, absent
 from services.strict import Names, reference, unknown_parts
-from services.targets.info import TARGETS, TargetInfo
+from services.targets.info import LONGEST_LABEL, TARGETS, TargetInfo
 from services.targets.labels import labels, same_labels
 from services.text import closest, did_you_mean
 
@@ -172,6 +172,55 @@ class TargetChoice(Model):
 
 def _asked(question: str | tuple[Call, ...]) -> str:
     return written(program(question)) if isinstance(question, tuple) else question
+
+
+MAX_LABELS = 1000
+"""Largest number of labels that count as one answer."""
+Label = Annotated[str, Field(min_length=1, max_length=LONGEST_LABEL)] | Annotated[int, Field(ge=0)]
+Labels = Label | Annotated[tuple[Label, ...], Field(max_length=MAX_LABELS)]
+
+
+class Goal(Model):
+    """The answer that the attack wants from the network. A label is a name or an index.
+
+    Non-targeted: the network must answer none of the labels in `leave`. Targeted: it must answer `reach`. `truth` says
+    which answers are right; it decides the outcome, and which labels count as one answer.
+
+    If `leave` is given, the network's answer to the original image must be among it. If it is left out, it is filled
+    in: with the truth if that answer is right, else with that answer and the labels that mean the same.
+    """
+
+    truth: Labels | None = Field(
+        None,
+        description="the true label, or all labels that are right; where it is left out it is taken from the table of "
+        "library meshes, else from `leave`; an empty list says that nobody knows it",
+    )
+    leave: Labels | None = Field(
+        None,
+        description="the label, or all labels, which the network must stop answering; where the truth is left out and "
+        "the table has none, it is taken for the truth",
+    )
+    reach: Label | None = Field(None, description="the label that the network must answer (targeted)")
+    least_confidence: float = Field(
+        0.0,
+        ge=0,
+        lt=1,
+        allow_inf_nan=False,
+        description="least probability of the new answer for the goal to be met",
+    )
+    leave_kind: bool = Field(
+        False,
+        exclude_if=operator.not_,
+        description="of a question: the new answer must be of another kind than the question asks for, such as `yes` "
+        "to a question about a shape",
+    )
+
+    @field_validator("leave")
+    @classmethod
+    def _something_to_leave(cls, value: Labels | None) -> Labels | None:
+        if value == ():
+            raise ValueError("an empty list has no label to leave; leave the field out")
+        return value
 
 
 def _scene_may_follow(schema: dict[str, Any]) -> None:

@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from services import disk
-from services.attacks.outcome import wilson
+from services.analysis.verdict import wilson
 from services.errors import InvalidRequest
 from services.questions.executor import ANSWERS
 from services.questions.families import FAMILIES

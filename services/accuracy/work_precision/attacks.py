@@ -9,10 +9,10 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from services.accuracy.placing import placed
+from services.analysis.verdict import wilson
 from services.attacks.attack import Attack
 from services.attacks.fgsm import Fgsm
 from services.attacks.goal import ResolvedGoal
-from services.attacks.outcome import wilson
 from services.attacks.problem import AttackProblem
 from services.attacks.run import AttackRun, Verifier, run_attack
 from services.attacks.zoo import Zoo

@@ -5,8 +5,8 @@ import torch
 from torch import Tensor
 
 from services.analysis.expectation import held_over
+from services.analysis.verdict import wilson
 from services.attacks.goal import ResolvedGoal
-from services.attacks.outcome import wilson
 from services.attacks.problem import draw_variation
 from services.attacks.request import Expectation
 from services.attacks.run import Verifier

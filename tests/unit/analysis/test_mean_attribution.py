@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from services.analysis.campaign_table import part_means
-from services.attacks.outcome import NORMAL_95
+from services.analysis.verdict import NORMAL_95
 
 
 def attribution(**values: float) -> dict[str, Any]:

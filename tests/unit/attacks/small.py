@@ -154,7 +154,7 @@ def resumed(
             raise Cancelled
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("services.attacks.run.EVERY", -1.0)
+        patch.setattr("services.attacks.run.CHECKPOINT_SECONDS", -1.0)
         with pytest.raises(Cancelled):
             attack(replace(make(), interrupt=die), settings, path, **given)
     assert path.exists()

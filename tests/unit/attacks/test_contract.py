@@ -194,7 +194,7 @@ def test_scores_and_images_without_a_graph() -> None:
 
 def test_a_state_whose_tensors_share_memory_is_saved(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It failed in jobs of more than two seconds, the time of the first checkpoint."""
-    monkeypatch.setattr("services.attacks.run.EVERY", -1.0)
+    monkeypatch.setattr("services.attacks.run.CHECKPOINT_SECONDS", -1.0)
     case = problem(target=LinearTarget(scale=1e-3))
     both = torch.arange(4.0).requires_grad_()
     state = {"delta": case.nothing, "one": both, "two": both, "part": both[1:]}

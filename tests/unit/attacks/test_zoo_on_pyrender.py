@@ -75,7 +75,7 @@ def test_a_coordinate_that_comes_to_matter_is_taken_up() -> None:
 
 
 def test_what_is_skipped_survives_a_restart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("services.attacks.run.EVERY", -1.0)  # after every step
+    monkeypatch.setattr("services.attacks.run.CHECKPOINT_SECONDS", -1.0)  # after every step
     zoo, path = settings(coordinates=5), tmp_path / "checkpoint"
     whole, _ = attack(problem(BEFORE, BEHIND), zoo, steps=2), attack(problem(BEFORE, BEHIND), zoo, path, steps=1)
     case = problem(BEFORE, BEHIND)

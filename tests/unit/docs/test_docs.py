@@ -7,7 +7,7 @@ import pytest
 from pydantic import BaseModel
 
 from api.main import create_app
-from services.attacks.request import Goal
+from services.pipeline.spec import Goal
 from services.scenes.description import (
     Camera,
     DirectionalLight,

@@ -10,7 +10,7 @@ import torch
 from safetensors.torch import load_file
 
 from services.analysis.images import load_png
-from services.attacks.outcome import held_within
+from services.analysis.verdict import held_within
 from services.attacks.run import AttackRun, run_attack
 from services.errors import Cancelled
 from services.pipeline.execute import Progress, execute
@@ -162,7 +162,7 @@ def test_cancelled_before_the_next_rendering(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("last", ["attacking", "analysing"])
 def test_an_interrupted_job_ends_in_the_same_result(last: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("services.attacks.run.EVERY", -1.0)
+    monkeypatch.setattr("services.attacks.run.CHECKPOINT_SECONDS", -1.0)
     rates = {"normals": 1e-5, "illumination": 1e-5}  # not in the order of their names
     job = spec({"renderer": "torch", "steps": 4, "learning_rate": rates, "groups": list(rates)})
     whole = execute(job, tmp_path / "whole", LIBRARY)

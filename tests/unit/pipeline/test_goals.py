@@ -6,10 +6,10 @@ import pytest
 import torch
 
 from services.attacks.goal import ResolvedGoal
-from services.attacks.request import MAX_LABELS, Goal
 from services.errors import InvalidRequest
 from services.pipeline import goals, spec
 from services.pipeline.goals import Settled
+from services.pipeline.spec import MAX_LABELS, Goal
 from services.targets.info import TargetInfo
 from services.targets.labels import truth_labels
 from services.targets.registry import card

@@ -7,8 +7,8 @@ import torch
 from torch import Tensor
 
 from services.attacks.goal import ResolvedGoal
-from services.attacks.request import Goal
 from services.pipeline.questions import Together, goals_together, outcome_of
+from services.pipeline.spec import Goal
 from services.questions.executor import ANSWERS, KINDS
 from services.targets.protocol import ProgramTarget
 

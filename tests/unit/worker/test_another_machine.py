@@ -56,7 +56,7 @@ def test_another_machine_goes_on_from_the_checkpoint_of_a_dead_one(
     migrate(engine, first)
     record, store, copies = Record(engine), ArtifactStore(s3_url), blobs(s3_url, "checkpoints")
     monkeypatch.setattr("worker.job_process.connect_database", lambda _: engine)  # so that the test can close it
-    monkeypatch.setattr("services.attacks.run.EVERY", -1.0)  # after every step
+    monkeypatch.setattr("services.attacks.run.CHECKPOINT_SECONDS", -1.0)  # after every step
     monkeypatch.setattr(files, "COPY_SECONDS", 0.005)
 
     undisturbed = add(record, SPEC)

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from services.attacks.outcome import TraceRow
+from services.attacks.trace import TraceRow
 from services.errors import InvalidRequest, JobFailure
 from services.jobs.database import connect, migrate
 from services.jobs.models import State

@@ -36,7 +36,7 @@ FILES = [BEST_SO_FAR, CHECKPOINT, "attacked.png", "original.png", "perturbation.
 @pytest.fixture
 def record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Record:
     """A record; checkpoints are written and the record is asked at every step."""
-    monkeypatch.setattr(run, "EVERY", -1.0)
+    monkeypatch.setattr(run, "CHECKPOINT_SECONDS", -1.0)
     monkeypatch.setattr(job_process, "REPORT_SECONDS", 0.0)
     monkeypatch.setattr(job_process, "POLL_SECONDS", 0.0)
     settings = Settings(data=tmp_path)

@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from services.attacks.outcome import wilson
+from services.analysis.verdict import wilson
 from services.errors import InvalidRequest
 from services.questions.executor import ANSWERS
 from services.questions.program import Node, Program
