@@ -57,8 +57,8 @@ from services.jobs.queue import connect as connect_redis
 from services.jobs.record import Record
 from services.jobs.uploads import DeletedAssets
 from services.logs import configure, logger
-from services.pipeline.check import names_in
 from services.pipeline.extensions import log_extensions, set_up
+from services.pipeline.spec import names_in
 from services.process import check_device
 from services.scenes.library import Library
 from services.settings import Settings

@@ -26,10 +26,8 @@ from services.jobs.database import outage_of
 from services.jobs.files import Damaged
 from services.jobs.jobs import KeyReused, QueueFull
 from services.logs import logger
-from services.pipeline.campaign_spec import CampaignSpec
-from services.pipeline.campaign_spec import named as campaign_fields
 from services.pipeline.field_errors import in_words, invalid_fields
-from services.pipeline.spec import JobSpec, named
+from services.pipeline.spec import JobSpec
 from services.strict import Strict, json_mistake
 
 MEDIA_TYPE = "application/problem+json"
@@ -226,11 +224,8 @@ def _fields_of(request: Request) -> Callable[[list[dict[str, Any]]], list[Invali
     """The function that names the invalid fields of a request, by the model of its body."""
     hints = get_type_hints(request.scope["endpoint"]).values()
     models = [hint for hint in hints if isinstance(hint, type) and issubclass(hint, Strict)]
-    if not models or models[0] is JobSpec:
-        return named
-    if models[0] is CampaignSpec:
-        return campaign_fields
-    return lambda items: invalid_fields(items, models[0].model_json_schema())
+    model = models[0] if models else JobSpec
+    return lambda items: invalid_fields(items, model)
 
 
 def _allowed(app: FastAPI, path: str) -> list[str]:

@@ -21,10 +21,10 @@ from services.jobs.record import Record
 from services.jobs.scheduler import Demand, Needs
 from services.logs import logger
 from services.pipeline.campaign_spec import CampaignSpec
-from services.pipeline.check import Checked, check_names, check_size, placed, samples
+from services.pipeline.check import check_size, placed, samples
 from services.pipeline.preview_record import PlannedCost, Preview
 from services.pipeline.result import JobWarning
-from services.pipeline.spec import SENT_IMAGE, JobSpec, RerenderingSpec, digest, parse
+from services.pipeline.spec import SENT_IMAGE, JobSpec, RerenderingSpec, check_names, digest, parse
 from services.settings import Settings
 from services.strict import Names
 
@@ -36,6 +36,14 @@ MOST_SLOW = 1000
 """Number of requests that are remembered since their check took too long."""
 TOO_LARGE = "ask for a smaller image, a smaller environment map or fewer objects"
 log = logger(__name__)
+
+
+@dataclass(frozen=True)
+class Checked:
+    """A request that can run: its spec as it would run, and what its sender is warned of."""
+
+    spec: JobSpec
+    warnings: tuple[JobWarning, ...]
 
 
 class Checks:

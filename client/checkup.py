@@ -206,7 +206,8 @@ def meshes(settings: Settings) -> Iterator[Finding]:
 
 def additions(settings: Settings) -> Iterator[Finding]:
     """Extensions, and networks of one's own, that were left out."""
-    from services.pipeline.extensions import loaded_extensions, set_up, target_folders
+    from services.extensions import loaded_extensions
+    from services.pipeline.extensions import set_up, target_folders
 
     set_up(settings)
     for kind, loaded in (("extension", loaded_extensions()), ("target", target_folders())):

@@ -158,7 +158,7 @@ def yes(value: bool | None) -> Text:
 def report_extensions() -> None:
     """Prints on stderr the extensions that were left out, with the reasons."""
     from services.errors import printable
-    from services.pipeline.extensions import loaded_extensions
+    from services.extensions import loaded_extensions
 
     for extension in loaded_extensions():
         if extension.error is not None:

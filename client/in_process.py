@@ -137,7 +137,7 @@ def _preprocessing(fields: Any) -> Preprocessing:
     try:
         return Preprocessing.model_validate(dict(fields))
     except ValidationError as error:
-        errors = invalid_fields(error.errors(include_url=False), Preprocessing.model_json_schema())
+        errors = invalid_fields(error.errors(include_url=False), Preprocessing)
         raise InvalidFields(
             [InvalidRequest(f"preprocessing.{wrong.field}", wrong.detail) for wrong in errors]
         ) from error

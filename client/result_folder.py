@@ -25,7 +25,7 @@ def check_free(
     network: the hashes of weights and card, if it is a network that the request does not name, and nothing if they are
     not known; a result of another network is another job's, too.
     """
-    from services.pipeline.names import attack_name, job_name
+    from services.pipeline.spec import attack_name, job_name
 
     for name, what in (("checkpoint.json", "the checkpoint"), ("result.json", "the result")):
         try:

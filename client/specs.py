@@ -54,7 +54,7 @@ def read_campaign(spec: str, settings: "Settings") -> "CampaignSpec":
 
 def parsed(parse: Callable[[Any, "Names"], Spec], data: dict[str, Any], folder: Path, settings: "Settings") -> Spec:
     """The job or campaign in JSON data, with the meshes below `folder` added to this machine's uploads."""
-    from services.pipeline.check import names_in
+    from services.pipeline.spec import names_in
 
     data, not_added = with_meshes_added(data, folder, to_library(settings))
     return parse(data, names_in(local_library(settings), not_read=not_added))

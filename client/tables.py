@@ -18,8 +18,7 @@ from services.analysis.records import (
     Transferred,
 )
 from services.analysis.verdict import SUCCESS, WRONG_BEFORE, Verdict, held_within
-from services.pipeline.question_record import Asked, QuestionResult, first_changed
-from services.pipeline.result import JobWarning, Outcome
+from services.pipeline.result import Asked, JobWarning, Outcome, QuestionResult, first_changed
 from services.questions.program import TYPE_WORDS, Program
 from services.text import signed
 

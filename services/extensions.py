@@ -109,6 +109,14 @@ class Extension:
         return printable(self.path.name)
 
 
+_loaded: list[Extension] = []
+
+
+def loaded_extensions() -> tuple[Extension, ...]:
+    """Returns the files that this process has loaded, each with what it registered or the error it raised."""
+    return tuple(_loaded)
+
+
 def load(paths: Sequence[Path], registries: Sequence[Registry[Any]]) -> tuple[Extension, ...]:
     """Runs each file, and each .py file of each folder but those whose name begins with "_", in alphabetical order.
 
@@ -122,6 +130,7 @@ def load(paths: Sequence[Path], registries: Sequence[Registry[Any]]) -> tuple[Ex
             extensions.append(Extension(path, None, error=f"it cannot be read: {_reason(error)}"))
         else:
             extensions += [_load(file, registries) for file in files]
+    _loaded.extend(extensions)
     return tuple(extensions)
 
 

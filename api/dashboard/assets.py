@@ -8,7 +8,7 @@ from urllib.parse import urlencode
 
 from fastapi import APIRouter, Depends, File, Form, Query, Request, Response, UploadFile
 from fastapi.responses import FileResponse, RedirectResponse
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel
 from starlette.concurrency import run_in_threadpool
 
 from api.dashboard.pages import HEADERS, html
@@ -17,8 +17,8 @@ from api.routes.artifacts import VerifiedFile
 from api.routes.assets import form_body, store
 from api.schemas import Uploaded
 from services.access.caller import Caller, Scope
-from services.errors import InvalidFields, InvalidRequest
-from services.pipeline.field_errors import invalid_fields
+from services.errors import InvalidRequest
+from services.pipeline.spec import parsed
 from services.scenes.bundle import (
     MAP_KINDS,
     MAX_FILES,
@@ -204,10 +204,7 @@ def _about(form: dict[str, str], sent: Sequence[UploadFile]) -> About:
         raise InvalidRequest("file", f"{len(sent):,} files were chosen; at most {MAX_FILES:,} are taken")
     if len(form["mesh"]) > MAX_NAME:
         raise InvalidRequest("mesh", f"it has {len(form['mesh']):,} characters; at most {MAX_NAME} are taken")
-    try:
-        fields = Said.model_validate({field: form[field].strip() or None for field in Said.model_fields})
-    except ValidationError as error:
-        raise InvalidFields(invalid_fields(error.errors(include_url=False), Said.model_json_schema())) from error
+    fields = parsed(Said, {field: form[field].strip() or None for field in Said.model_fields})
     return About(title=fields.name or _title(sent), up=fields.up, licence=fields.licence, credit=fields.credit)
 
 

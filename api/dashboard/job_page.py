@@ -11,7 +11,6 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Form, Request, Response
 from fastapi.responses import RedirectResponse
-from pydantic import ValidationError
 
 from api.dashboard import views
 from api.dashboard.pages import HEADERS, STATIC, VERSION, html, part_of
@@ -19,11 +18,10 @@ from api.dashboard.views import all_events
 from api.requests import CallerDependency, KnownJob, Services, ServicesDependency, no_such
 from api.routes.jobs import continued
 from api.schemas import JobEdit
-from services.errors import InvalidFields
 from services.jobs.files import Damaged, delete_with_files
 from services.jobs.models import Artifact, JobKind
-from services.pipeline.field_errors import invalid_fields
 from services.pipeline.result import BEST_SO_FAR
+from services.pipeline.spec import parsed
 
 router = APIRouter(include_in_schema=False)
 
@@ -95,11 +93,7 @@ def edit(
 ) -> Response:
     """Writes what the form on the page says; the tags have spaces or commas between them."""
     form = {"title": title.strip(), "tags": tags.replace(",", " ").split(), "note": note.replace("\r\n", "\n").strip()}
-    try:
-        changes = JobEdit.model_validate(form)
-    except ValidationError as error:
-        raise InvalidFields(invalid_fields(error.errors(include_url=False), JobEdit.model_json_schema())) from error
-    services.record.lists.edit(job.id, changes.changes())
+    services.record.lists.edit(job.id, parsed(JobEdit, form).changes())
     return _to(f"/jobs/{job.id}")
 
 

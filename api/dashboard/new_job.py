@@ -8,7 +8,6 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Form, Query, Request, Response
 from fastapi.responses import RedirectResponse
-from pydantic import ValidationError
 from starlette.concurrency import run_in_threadpool
 
 from api.dashboard.pages import HEADERS, html
@@ -16,11 +15,11 @@ from api.requests import CallerDependency, Services, ServicesDependency, names_o
 from api.routes import jobs
 from services.access.caller import Caller
 from services.attacks.attack import ATTACKS
-from services.errors import InvalidFields, InvalidRequest
+from services.errors import InvalidRequest
 from services.jobs.processes import WARM_PROCESSES
 from services.jobs.scheduler import Demand
 from services.jobs.states import Priority
-from services.pipeline.spec import JobSpec, problems
+from services.pipeline.spec import JobSpec, parse
 from services.rendering.declaration import RENDERERS
 from services.strict import Names, NotJson, read_json
 from services.targets.info import available
@@ -91,11 +90,9 @@ def choices(services: ServicesDependency, caller: CallerDependency) -> Any:
 def _parsed(text: str, names: Names) -> JobSpec:
     """The request that a text is. Raises InvalidRequest, with every wrong field."""
     try:
-        return JobSpec.model_validate(read_json(text), context=names)
+        return parse(read_json(text), names)
     except NotJson as error:
         raise InvalidRequest("body", str(error)) from error
-    except ValidationError as error:
-        raise InvalidFields(problems(error)) from error
 
 
 def _page(

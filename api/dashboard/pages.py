@@ -16,8 +16,8 @@ from api.dashboard import words
 from api.dashboard.charts import polar
 from services.access.caller import Caller
 from services.jobs.models import CampaignState, State
-from services.pipeline.names import group_words
-from services.pipeline.question_record import CHANGED
+from services.pipeline.result import CHANGED
+from services.pipeline.spec import group_words
 from services.text import signed
 
 HEADERS = {

@@ -12,9 +12,8 @@ from api.dashboard.charts import Chart, chart, upset
 from services.analysis.verdict import judge
 from services.jobs.models import Artifact, Event, Job, State
 from services.jobs.record import Record
-from services.pipeline.names import group_words, question_names
-from services.pipeline.question_record import Attended, QuestionResult, first_changed, most_changed
-from services.pipeline.result import CHECKPOINT
+from services.pipeline.result import CHECKPOINT, Attended, QuestionResult, first_changed, most_changed
+from services.pipeline.spec import group_words, question_names
 from services.questions.executor import Facts, Value, execute
 from services.questions.program import TYPE_WORDS, Node, Program, Type
 from services.scenes.clevr.records import SceneRecord

@@ -26,13 +26,13 @@ from api.schemas import (
     ViewList,
 )
 from services.analysis.campaign_table import cases_to_csv, to_csv, to_latex
-from services.jobs.campaigns import request_digest
 from services.jobs.jobs import Key
 from services.jobs.models import Campaign, CampaignState
 from services.jobs.scheduler import Demand
 from services.jobs.states import Priority
 from services.pipeline.campaign_plan import CampaignResult
 from services.pipeline.campaign_spec import CampaignSpec
+from services.pipeline.spec import digest
 
 router = APIRouter(prefix="/v1/campaigns", tags=["campaigns"])
 
@@ -65,7 +65,7 @@ async def submit_campaign(
     """
     key = None
     if idempotency_key is not None:
-        key = Key(idempotency_key, await run_in_threadpool(request_digest, spec), caller.owner)
+        key = Key(idempotency_key, await run_in_threadpool(digest, spec), caller.owner)
     campaign = None if key is None else await run_in_threadpool(services.record.campaigns.of_key, key)
     if campaign is None:
         await while_connected(request, services.checks.check_campaign(spec, caller))

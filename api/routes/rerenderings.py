@@ -25,12 +25,11 @@ from api.requests import (
 )
 from api.routes.jobs import answered
 from api.schemas import JobView, RerenderingBody
-from api.submissions import key_of
+from api.submissions import Checked, key_of
 from services.access.caller import Caller
 from services.errors import InvalidRequest
 from services.jobs.models import Artifact
-from services.pipeline.check import Checked, check_names
-from services.pipeline.spec import SENT_IMAGE, RerenderingSpec
+from services.pipeline.spec import SENT_IMAGE, RerenderingSpec, check_names
 
 router = APIRouter(prefix="/v1/rerenderings", tags=["defences"])
 

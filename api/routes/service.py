@@ -12,10 +12,11 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from api.requests import KnownCaller, ServicesDependency
 from api.schemas import ExtensionView, Health, Readiness, TargetFolderView
+from services.extensions import loaded_extensions
 from services.jobs.queue import Queue
 from services.jobs.statistics import Figures, ServiceFigures
 from services.logs import logger
-from services.pipeline.extensions import loaded_extensions, target_folders
+from services.pipeline.extensions import target_folders
 
 router = APIRouter(tags=["service"])
 log = logger(__name__)

@@ -23,10 +23,8 @@ from services.analysis.campaign_table import CURVES, MeanCurves
 from services.pipeline.campaign_plan import CampaignResult, FirstAnswer, PlannedJob, View, case_of, plan, views
 from services.pipeline.campaign_spec import CampaignSpec
 from services.pipeline.described import can_carry, described
-from services.pipeline.question_record import ATTENTION, QuestionResult
-from services.pipeline.result import Result
+from services.pipeline.result import ATTENTION, PERTURBATION, QuestionResult, Result
 from services.pipeline.spec import JobSpec
-from services.pipeline.stored import PERTURBATION
 from services.questions.executor import kind_asked
 from services.questions.families import FAMILIES
 from services.questions.generator import QuestionRecord

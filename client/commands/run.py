@@ -54,7 +54,7 @@ def run(
     from client.settings import settings_to_run
     from client.specs import local_library, read_job
     from client.tables import COLUMNS, cells, goal_line, print_analyses, print_answered, print_subsets
-    from services.pipeline.names import attack_name, job_name
+    from services.pipeline.spec import attack_name, job_name
 
     settings = settings_to_run()
     keep_memory()

@@ -87,13 +87,11 @@ class LeftOut:
 
 def leave_out(
     problem: AttackProblem, change: Mapping[str, float], report: Callable[[int, int], None]
-) -> tuple[AttackProblem, LeftOut | None]:
+) -> tuple[AttackProblem, LeftOut]:
     """Measures the coordinates of the groups in `change`; returns the problem without those that hardly count.
 
-    The problem itself and None if there is nothing to measure. `report` is told the number of images done, and of all.
+    `report` is told the number of images done, and of all.
     """
-    if not change:
-        return problem, None
     effects, layout, renderer = measure(problem, change, report), problem.layout, problem.renderer
     names = [name for g in layout.groups for name in renderer.names(g) or [g] * layout.shapes[g].numel()]
     without = replace(problem, limits=problem.limits.fixing(effects.left_out))

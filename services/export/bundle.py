@@ -23,11 +23,9 @@ from services.export.parameters import as_colors, light_maps, normal_maps, param
 from services.export.report import Files, readme, report
 from services.export.scene_values import moves_the_scene, scene_values
 from services.pipeline.exported_targets import exported_targets, write_targets
-from services.pipeline.names import job_name
 from services.pipeline.prepare import lit_by_map, resolved_scene
-from services.pipeline.result import RESULT, Result
-from services.pipeline.spec import JobSpec, parse
-from services.pipeline.stored import PERTURBATION
+from services.pipeline.result import PERTURBATION, RESULT, Result
+from services.pipeline.spec import JobSpec, job_name, parse
 from services.rendering.protocol import Parameters
 from services.rendering.torch_renderer.declaration import TORCH
 from services.scenes.exported_assets import write_assets

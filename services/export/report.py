@@ -19,10 +19,9 @@ from pydantic import BaseModel
 from services.attacks.trace import TraceRow
 from services.export.parameters import ParameterTable
 from services.pipeline.exported_targets import FOLDER, ExportedTarget
-from services.pipeline.names import attack_name, group_words
 from services.pipeline.prepare import lit_by_map
 from services.pipeline.result import Result
-from services.pipeline.spec import JobSpec
+from services.pipeline.spec import JobSpec, attack_name, group_words
 from services.rendering.pyrender_renderer.declaration import PYRENDER
 from services.rendering.pyrender_renderer.renderer import EXPOSURE
 from services.rendering.torch_renderer.light import illumination

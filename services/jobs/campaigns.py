@@ -9,8 +9,6 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from datetime import datetime
-from functools import partial
-from hashlib import sha256
 from math import degrees
 from typing import Any
 from uuid import uuid4
@@ -26,7 +24,7 @@ from services.jobs.jobs import Key, KeyReused, add_job
 from services.jobs.leases import change_state
 from services.jobs.models import Campaign, CampaignJob, CampaignState, Job, JobKind, State, not_paused, place
 from services.jobs.scheduler import CAMPAIGNS, Demand
-from services.jobs.uploads import check_held, refer_from_campaign, titles, uploads_among
+from services.jobs.uploads import check_held, refer_from_campaign, titles
 from services.logs import logger
 from services.pipeline.campaign_plan import (
     CampaignResult,
@@ -43,8 +41,9 @@ from services.pipeline.campaign_plan import (
     views,
 )
 from services.pipeline.campaign_spec import CampaignSpec
-from services.pipeline.check import check_campaign_meshes, meshes_of
+from services.pipeline.check import uploads_in
 from services.pipeline.result import Result
+from services.pipeline.spec import digest
 
 ENDED_SECONDS = 60.0
 """Time after which an owner with too many campaigns may try again."""
@@ -91,17 +90,15 @@ class Campaigns:
         Raises KeyReused if the key came with another request, QuotaExceeded if `owner_campaigns` of the owner have not
         ended, and InvalidRequest if a mesh of the request was deleted.
         """
-        digest = request_digest(spec)
-        client_key = None if key is None else Key(key, digest, owner)
+        client_key = None if key is None else Key(key, digest(spec), owner)
         try:
-            return self._create(spec, digest, client_key, owner, demand, owner_campaigns)
+            return self._create(spec, client_key, owner, demand, owner_campaigns)
         except IntegrityError:  # another process recorded the same key at the same moment
-            return self._create(spec, digest, client_key, owner, demand, owner_campaigns)
+            return self._create(spec, client_key, owner, demand, owner_campaigns)
 
     def _create(
         self,
         spec: CampaignSpec,
-        digest: str,
         key: Key | None,
         owner: str,
         demand: Demand,
@@ -115,8 +112,8 @@ class Campaigns:
                 if (session.scalar(select(func.count()).select_from(Campaign).where(*own)) or 0) >= owner_campaigns:
                     detail = f"an owner may have {owner_campaigns:,} campaigns that have not ended"
                     raise QuotaExceeded(detail, ENDED_SECONDS)
-            uploads = uploads_among(meshes_of(spec))
-            check_held(session, uploads, partial(check_campaign_meshes, spec))
+            uploads = uploads_in(spec)
+            check_held(session, uploads)
             campaign = Campaign(
                 id=uuid4().hex,
                 name=spec.name,
@@ -127,7 +124,7 @@ class Campaigns:
                 key=None if key is None else key.stored,
                 owner=owner,
                 demand=asdict(demand),
-                request_digest=digest,
+                request_digest=digest(spec),
             )
             session.add(campaign)
             session.flush()
@@ -323,11 +320,6 @@ def _case_row(number: int, job_id: str | None, seed: int, case: Case, view: Chos
         "first answer": (view.label or "") if view else "",
     }
     return CaseRow(number, job_id, fields | about, case)
-
-
-def request_digest(spec: CampaignSpec) -> str:
-    """Hex SHA-256 of a request with its defaults filled in, by which an idempotency key recognises it."""
-    return sha256(spec.model_dump_json().encode()).hexdigest()
 
 
 CHUNK = 16

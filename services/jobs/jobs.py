@@ -6,7 +6,6 @@ Every change of a job is one transaction together with its event; a result and i
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import timedelta
-from functools import partial
 from hashlib import sha256
 from typing import Any
 from uuid import uuid4
@@ -15,13 +14,11 @@ from sqlalchemy import ColumnElement, Select, delete, func, or_, select
 from sqlalchemy.orm import Session, defer, undefer
 
 from services.errors import InUse, QuotaExceeded
-from services.jobs import statistics
 from services.jobs.database import Database, now
-from services.jobs.leases import change_state, lock, story
+from services.jobs.leases import change_state, count, lock, story
 from services.jobs.models import Artifact, Campaign, CampaignJob, Event, IdempotencyKey, Job, JobKind, State, listed
 from services.jobs.scheduler import NO_DEMAND, Demand, targets_of
 from services.jobs.uploads import check_held, refer_from_job, titles, uploads_of
-from services.pipeline.check import check_meshes
 from services.pipeline.result import JobWarning
 from services.pipeline.spec import JobSpec, RerenderingSpec, digest
 
@@ -105,7 +102,7 @@ class Jobs:
                 if (session.scalar(own) or 0) >= owner_queued:
                     raise QuotaExceeded(f"an owner may have {owner_queued:,} jobs queued", QUEUED_SECONDS)
             request = spec.model_dump(mode="json")
-            check_held(session, uploads_of(request), partial(check_meshes, spec.scene))
+            check_held(session, uploads_of(request))
             job = add_job(
                 session,
                 request,
@@ -290,7 +287,7 @@ def add_job(
     if kind is not JobKind.SELECTION:  # selections belong to a campaign, which refers to the meshes itself
         refer_from_job(session, job.id, uploads_of(spec))
     session.add(Event(job_id=job.id, number=1, kind="state", data=story(job), created_at=at))
-    statistics.count(session, "submitted", kind.value)
+    count(session, "submitted", kind.value)
     return job
 
 

@@ -3,22 +3,27 @@ Here is also the only function that changes a job's state.
 
 An attempt is fenced: its writes carry its number and change nothing once the job has been taken back, finished or
 given to a later attempt.
+
+Changes are counted, for the service's metrics. Counters say what the service has done since it was set up. They outlive
+processes, machines and deleted jobs. A transaction collects what it counts, and adds it in one statement before it
+commits: counters are rows that all processes change, so they are locked last, all in one order, and for a moment.
 """
 
+from bisect import bisect_left
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import timedelta
 from enum import Enum
 from typing import Any
 
-from sqlalchemy import case, or_, select, update
+from sqlalchemy import case, event, or_, select, update
 from sqlalchemy.orm import Session
 from sqlalchemy.sql.elements import ColumnElement
 
 from services.errors import InvalidRequest, without_folders
-from services.jobs import statistics
-from services.jobs.database import Database, now
-from services.jobs.models import Artifact, Event, Job, State, listed, listed_outcome, not_paused
+from services.jobs.database import Database, insert, now
+from services.jobs.models import Artifact, Event, Job, State, Total, listed, listed_outcome, not_paused
 from services.jobs.uploads import titles, uploads_of
 from services.pipeline.result import JobWarning
 
@@ -30,6 +35,8 @@ MAX_ATTEMPTS = 5
 do not die by chance.
 """
 DIED = "its process died or hung"
+STAGE_BOUNDS = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0, 3000.0)
+"""Upper bounds of the histogram of a stage's time, in seconds; above them is one more class."""
 
 
 @dataclass(frozen=True)
@@ -105,7 +112,7 @@ class Leases:
             if before is None or number is None:
                 return False
             if before.phase != phase and before.phase_at is not None:
-                statistics.count_stage(session, before.phase, (at - before.phase_at).total_seconds())
+                count_stage(session, before.phase, (at - before.phase_at).total_seconds())
             data = {"phase": phase, "step": step, "steps": steps, "rows": list(rows)}
             session.add(Event(job_id=attempt.job_id, number=number, kind="progress", data=data, created_at=at))
             return True
@@ -251,9 +258,9 @@ def change_state(
     if job is not None:
         session.add(Event(job_id=job_id, number=job.events, kind="state", data=story(job), created_at=at))
         if to is State.RUNNING and job.queued_at is not None:
-            statistics.count_stage(session, "waiting", (at - job.queued_at).total_seconds())
+            count_stage(session, "waiting", (at - job.queued_at).total_seconds())
         if to.terminal:
-            statistics.count_end(session, job, None if job.phase_at is None else (at - job.phase_at).total_seconds())
+            count_end(session, job, None if job.phase_at is None else (at - job.phase_at).total_seconds())
     return job
 
 
@@ -275,3 +282,39 @@ def story(job: Job) -> dict[str, Any]:
     if job.state == State.FAILED:
         data["failure"] = {"kind": job.failure_kind, "detail": job.failure_detail}
     return data
+
+
+def count(session: Session, name: str, label: str = "", by: float = 1) -> None:
+    """Adds `by` to a counter when the transaction ends."""
+    if not by:
+        return
+    if "totals" not in session.info:
+        session.info["totals"] = Counter()
+        event.listen(session, "before_commit", _write, once=True)
+    session.info["totals"][name, label] += by
+
+
+def count_stage(session: Session, stage: str, seconds: float) -> None:
+    """Adds the time of a stage to its histogram when the transaction ends."""
+    bound = bisect_left(STAGE_BOUNDS, seconds)
+    count(session, "stage", f"{stage} {STAGE_BOUNDS[bound] if bound < len(STAGE_BOUNDS) else '+Inf'}")
+    count(session, "stage_seconds", stage, max(seconds, 0.0))
+
+
+def count_end(session: Session, job: Job, seconds: float | None) -> None:
+    """Counts a job that has ended; `seconds` is the time since its last phase began, None if it had not begun."""
+    count(session, "ended", f"{job.kind.value} {job.state.value}")
+    if job.state is State.FAILED:
+        count(session, "failures", job.failure_kind or "")
+    count(session, "steps", by=job.steps_done)
+    count(session, "queries", by=job.queries_done)
+    if job.phase is not None and seconds is not None:
+        count_stage(session, job.phase, seconds)
+
+
+def _write(session: Session) -> None:
+    counted: Counter[tuple[str, str]] = session.info.pop("totals")
+    rows = [{"name": name, "label": label, "value": by} for (name, label), by in sorted(counted.items())]
+    added = insert(session, Total).values(rows)
+    values = {"value": Total.value + added.excluded.value}
+    session.execute(added.on_conflict_do_update(index_elements=[Total.name, Total.label], set_=values))

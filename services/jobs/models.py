@@ -32,7 +32,7 @@ from services.jobs.states import CampaignState as CampaignState
 from services.jobs.states import JobKind as JobKind
 from services.jobs.states import Priority, times_of
 from services.jobs.states import State as State
-from services.pipeline.names import attack_name, job_name, question_names, scene_name
+from services.pipeline.spec import attack_name, job_name, question_names, scene_name
 
 
 class UtcTime(TypeDecorator[datetime]):
@@ -270,7 +270,7 @@ class Artifact(Base):
 
 
 class Total(Base):
-    """A counter of the service (services.jobs.statistics)."""
+    """A counter of the service (services.jobs.leases)."""
 
     __tablename__ = "totals"
 

@@ -7,7 +7,7 @@ of a mesh that a job names.
 """
 
 from collections import defaultdict
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from datetime import timedelta
 from typing import Any
@@ -19,23 +19,22 @@ from sqlalchemy.sql.elements import ColumnElement
 from services.errors import InUse, InvalidRequest
 from services.jobs.database import Database, insert, now
 from services.jobs.models import Asset, Campaign, CampaignAsset, Job, JobAsset, JobKind, State
-from services.pipeline.names import scene_name
+from services.pipeline.spec import scene_name
 from services.scenes.library import Library
 
 NAMED = 5
 """The most jobs, and the most campaigns, that an answer names."""
 
 
-def uploads_among(meshes: Iterable[str]) -> list[str]:
-    """Returns those of the names of meshes that are of uploads, each once and sorted."""
-    return sorted({name for name in meshes if name.startswith("sha256:")})
-
-
-def uploads_of(spec: Mapping[str, Any]) -> list[str]:
-    """The names of the uploads to which a job's spec refers: meshes, and an environment map."""
+def uploads_of(spec: Mapping[str, Any]) -> dict[str, str]:
+    """The uploads to which a job's spec refers, meshes and an environment map, each with the path where it is named
+    first.
+    """
     scene = spec["scene"]
     environment = ((scene.get("lights") or {}).get("environment") or {}).get("map") or ""
-    return uploads_among([*(thing["mesh"] for thing in scene["objects"]), environment])
+    places = {thing["mesh"]: f"scene.objects.{k}.mesh" for k, thing in reversed(list(enumerate(scene["objects"])))}
+    places.setdefault(environment, "scene.lights.environment.map")
+    return {name: place for name, place in places.items() if name.startswith("sha256:")}
 
 
 def hold(session: Session, names: Iterable[str], *, to_change: bool = False) -> frozenset[str]:
@@ -51,19 +50,10 @@ def hold(session: Session, names: Iterable[str], *, to_change: bool = False) -> 
     return frozenset(row.name for row in rows if row.deleted_at is not None)
 
 
-def check_held(session: Session, names: Iterable[str], check_meshes: Callable[[Callable[[str], None]], None]) -> None:
-    """Holds uploads and raises InvalidRequest for the field of one that was deleted.
-
-    `check_meshes` calls the function it is given with every mesh of a request, and adds the field to its error.
-    """
-    deleted = hold(session, names)
-
-    def check(name: str) -> None:
-        if name in deleted:
-            raise InvalidRequest("mesh", f"there is no upload {name!r} any more")
-
-    if deleted:
-        check_meshes(check)
+def check_held(session: Session, uploads: Mapping[str, str]) -> None:
+    """Holds uploads. Raises InvalidRequest for one that was deleted; `uploads` has the path of each in the request."""
+    for name in sorted(hold(session, uploads)):
+        raise InvalidRequest(uploads[name], f"there is no upload {name!r} any more")
 
 
 def titles(session: Session, names: Iterable[str]) -> dict[str, str]:
@@ -155,7 +145,7 @@ class AssetRecords:
 def _alone(session: Session, meshes: Collection[str], owner: str | None) -> list[ColumnElement[bool]]:
     """The conditions of a job that ran to its end and shows one of these meshes alone."""
     # Two meshes may have the same short name, and the name is a column: the request is read for few jobs only.
-    named = titles(session, uploads_among(meshes))
+    named = titles(session, meshes)
     scenes = {scene_name({"scene": {"objects": [{"mesh": mesh}]}}, names) for mesh in meshes for names in ({}, named)}
     return [
         Job.kind == JobKind.ATTACK,

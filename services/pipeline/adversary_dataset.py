@@ -16,8 +16,8 @@ from PIL import Image
 
 from services import disk
 from services.errors import InvalidRequest
-from services.pipeline.names import attack_name, scene_name
 from services.pipeline.result import Result, success
+from services.pipeline.spec import attack_name, scene_name
 
 FORMAT = 1
 

@@ -30,12 +30,12 @@ from services.attacks.run import Verifier
 from services.errors import InvalidRequest
 from services.pipeline import goals
 from services.pipeline.described import described
-from services.pipeline.prepare import Prepared, prepare, resolved_scene
-from services.pipeline.questions import asked_questions, bound
-from services.pipeline.spec import JobSpec, parse
-from services.pipeline.stored import read_stored
+from services.pipeline.prepare import Prepared, prepare, resolved_scene, task_of
+from services.pipeline.replay import read_stored
+from services.pipeline.spec import JobSpec, asked_goal, parse
 from services.rendering.factory import build
 from services.rendering.physical_change import physical_changes
+from services.rendering.plan import Tolerance
 from services.rendering.protocol import Parameters
 from services.rendering.torch_renderer.declaration import TORCH
 from services.scenes.image_file import other_size
@@ -44,6 +44,7 @@ from services.scenes.reading.isolated import reader
 from services.scenes.resolve import ResolvedScene, resolve
 from services.targets import registry
 from services.targets.labels import same_labels
+from services.targets.protocol import Target
 
 Report = Callable[[str, int, int], None]
 """Called before each image with the name of the analysis, the number of its images done and the number there may be."""
@@ -96,7 +97,7 @@ def analyse(subject: Subject, request: AnalysisRequest, library: Library, report
             is_target = number < len(request.transfer.targets)
             analyses.transfer.append(_to_target(subject, name) if is_target else _to_renderer(subject, name, library))
     if any((request.interpretation, request.rerendering, request.adaptive)):
-        fitted = fitting_verifier(prepared.scene, prepared.spec)
+        fitted = _fitting(prepared.scene, prepared.spec.tolerance, prepared.target)
         if request.interpretation is not None:
             steps = request.interpretation.steps
             analyses.interpretation = interpret(
@@ -117,10 +118,9 @@ def analyse(subject: Subject, request: AnalysisRequest, library: Library, report
     return analyses
 
 
-def fitting_verifier(scene: ResolvedScene, spec: JobSpec) -> Verifier:
+def _fitting(scene: ResolvedScene, tolerance: Tolerance, target: Target) -> Verifier:
     """The torch renderer of a scene, for fits of all its groups, and the network that answers for them."""
-    renderer = build(scene, TORCH.name, tolerance=spec.tolerance)
-    return Verifier(renderer, bound(registry.load(spec.target.name), spec.target))
+    return Verifier(build(scene, TORCH.name, tolerance=tolerance), target)
 
 
 def rerendered(
@@ -204,8 +204,10 @@ def rerender_image(
     the camera's size, and as `resolve` and the target's registry do.
     """
     _check_size((image.shape[0], image.shape[1]), spec.scene.camera.size)
-    asked_questions(spec, registry.load(spec.target.name))
-    return rerendered(fitting_verifier(resolved_scene(spec, library), spec), image, request, tick)
+    name = spec.target.name
+    asked = asked_goal(spec.goal, registry.card(name), registry.labels(name))
+    target = task_of(spec, registry.load(name), asked).target
+    return rerendered(_fitting(resolved_scene(spec, library), spec.tolerance, target), image, request, tick)
 
 
 def decode_image(data: bytes, size: tuple[int, int]) -> Tensor:

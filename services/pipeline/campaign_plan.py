@@ -25,9 +25,8 @@ from services import disk
 from services.analysis.campaign_table import Case, Curves, MeanCurves, Table, to_csv, to_latex
 from services.attacks.attack import Attack
 from services.pipeline.campaign_spec import CampaignSpec, Grid, Member, Selection
-from services.pipeline.names import attack_name, scene_name
 from services.pipeline.result import Provenance, Result, success
-from services.pipeline.spec import JobSpec, TargetChoice, digest
+from services.pipeline.spec import JobSpec, TargetChoice, attack_name, digest, scene_name
 from services.questions.generator import QuestionRecord
 from services.rendering.declaration import IMAGE_OF
 

@@ -5,9 +5,9 @@ meshes × views with one object each, or are scenes after CLEVR with generated q
 torch.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cache, lru_cache
+from functools import lru_cache
 from itertools import zip_longest
 from math import pi
 from random import Random
@@ -17,7 +17,6 @@ from pydantic import (
     AfterValidator,
     BeforeValidator,
     Field,
-    ValidationError,
     ValidationInfo,
     field_validator,
     model_validator,
@@ -26,10 +25,18 @@ from pydantic import (
 from services.analysis.records import AnalysisRequest
 from services.attacks.attack import Attack
 from services.attacks.request import Seed
-from services.errors import InvalidFields, InvalidRequest
-from services.pipeline.field_errors import invalid_fields
-from services.pipeline.question_record import MOST_TOGETHER
-from services.pipeline.spec import AnyAttack, AnyTolerance, Goal, JobSpec, TargetChoice, check_labels, with_method
+from services.errors import InvalidRequest
+from services.pipeline.spec import (
+    MOST_TOGETHER,
+    AnyAttack,
+    AnyTolerance,
+    Goal,
+    JobSpec,
+    TargetChoice,
+    check_labels,
+    parsed,
+    with_method,
+)
 from services.questions.families import FAMILIES, Kind
 from services.questions.generator import QuestionGenerator, QuestionRecord
 from services.rendering.plan import DEFAULT_TOLERANCE
@@ -415,18 +422,5 @@ class CampaignSpec(Model):
 
 
 def parse(data: object, names: Names | None = None) -> CampaignSpec:
-    """Parses JSON data into a spec. Raises InvalidFields, which has every bad field; `names` as in `spec.parse`."""
-    try:
-        return CampaignSpec.model_validate(data, context=names)
-    except ValidationError as error:
-        raise InvalidFields(named(error.errors(include_url=False))) from error
-
-
-def named(items: Iterable[Mapping[str, Any]]) -> list[InvalidRequest]:
-    """One InvalidRequest for each bad field, for the items of a pydantic error."""
-    return invalid_fields(items, _schema())
-
-
-@cache
-def _schema() -> dict[str, Any]:
-    return CampaignSpec.model_json_schema()
+    """Parses JSON data into a spec, as `spec.parsed` does."""
+    return parsed(CampaignSpec, data, names)

@@ -1,83 +1,14 @@
-"""Checks a request as far as that needs neither torch nor a file: its names, and the size and meshes of a campaign.
-
-What else must be right of a job, or of one job of each kind in a campaign (`samples`), is checked where it is prepared.
+"""Checks a campaign as far as that needs neither torch nor a file: its size, and a job of each kind (`samples`), whose
+errors are named by their place in the campaign.
 """
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
-from functools import cache
-from types import MappingProxyType
 
 from services.errors import InvalidFields, InvalidRequest
 from services.pipeline.campaign_plan import job_of
 from services.pipeline.campaign_spec import CampaignSpec, Grid, Member, SceneGrid
-from services.pipeline.campaign_spec import parse as parse_campaign
-from services.pipeline.result import JobWarning
 from services.pipeline.spec import JobSpec
-from services.pipeline.spec import parse as parse_job
-from services.rendering.torch_renderer.declaration import check_preset
-from services.scenes.description import Lights, Scene
-from services.scenes.library import Library
-from services.strict import Names
-from services.targets.download import check_obtainable
-
-
-@dataclass(frozen=True)
-class Checked:
-    """A request that can run: its spec as it would run, and what its sender is warned of."""
-
-    spec: JobSpec
-    warnings: tuple[JobWarning, ...]
-
-
-def names_in(
-    library: Library,
-    may_use: Callable[[str], bool] = lambda _: True,
-    not_read: Mapping[str, str] = MappingProxyType({}),
-) -> Names:
-    """Returns the context with which a request is validated together with the names in it.
-
-    An upload for whose name `may_use` is false is unknown. `not_read` says of meshes that are files of this machine why
-    they could not be added.
-    """
-
-    def check_mesh(name: str) -> None:
-        if name in not_read:
-            raise InvalidRequest("mesh", not_read[name])
-        library.check_mesh(name, may_use)
-
-    # A campaign names the same few things in each of thousands of jobs.
-    return {
-        "mesh": cache(check_mesh),
-        "map": cache(lambda name: library.check_map(name, may_use)),
-        "material": check_preset,
-        "target": cache(check_obtainable),
-    }
-
-
-def check_names(request: JobSpec | CampaignSpec, names: Names) -> None:
-    """Raises InvalidFields with every name in a valid request that there is not."""
-    parse = parse_job if isinstance(request, JobSpec) else parse_campaign
-    parse(request.model_dump(mode="json"), names)
-
-
-def check_meshes(scene: Scene, check: Callable[[str], None]) -> None:
-    """Calls `check` with the name of every mesh, and of an environment map that is an upload. It raises
-    InvalidRequest("mesh") for one that may not be named, which is raised again with its path in the request.
-    """
-    for index, thing in enumerate(scene.objects):
-        try:
-            check(thing.mesh)
-        except InvalidRequest as error:
-            raise InvalidRequest(f"scene.objects.{index}.mesh", error.detail) from error
-    environment = scene.lights.environment.map
-    if environment.startswith("sha256:"):
-        try:
-            check(environment)
-        except InvalidRequest as error:
-            detail = f"there is no environment map {environment!r}, or it is no upload of yours"
-            raise InvalidRequest("scene.lights.environment.map", detail) from error
-
+from services.scenes.description import Scene
 
 Places = Mapping[str, str]
 """The path in the campaign of each part of a job, e.g. {"attack": "grids.0.attacks.2.attack"}; "" is the rest."""
@@ -122,47 +53,26 @@ def _renderers(grid: Grid) -> int:
     return len({column.attack.base_renderer or column.attack.renderer for column in grid.attacks})
 
 
-def check_campaign_meshes(campaign: CampaignSpec, check: Callable[[str], None]) -> None:
-    """Calls `check` with the name of every mesh. It raises InvalidRequest("mesh") for an unknown one, which is raised
-    again with the path of the mesh in the campaign.
-    """
-    checked = set()
-    for name, field in _meshes(campaign):
-        if name not in checked:
-            checked.add(name)
-            try:
-                check(name)
-            except InvalidRequest as error:
-                raise InvalidRequest(field, error.detail) from error
-
-
-def meshes_of(campaign: CampaignSpec) -> frozenset[str]:
-    """The names of all meshes of the campaign."""
-    return frozenset(name for name, _ in _meshes(campaign))
-
-
-def _meshes(campaign: CampaignSpec) -> Iterator[tuple[str, str]]:
+def uploads_in(campaign: CampaignSpec) -> dict[str, str]:
+    """The uploads that a campaign names, meshes and environment maps, each with the path where it is named first."""
+    places: dict[str, str] = {}
     for g, grid in enumerate(campaign.grids):
         if isinstance(grid.scenes, SceneGrid):
-            listed = {name: f"meshes.{m}" for m, name in reversed(list(enumerate(grid.scenes.meshes)))}
-            for name in grid.scenes.mesh_names():
-                yield name, f"grids.{g}.scenes.{listed.get(name, 'kinds')}"
-            yield from _map(grid.scenes.lights, f"grids.{g}.scenes")
+            for m, name in enumerate(grid.scenes.meshes):
+                places.setdefault(name, f"grids.{g}.scenes.meshes.{m}")
+            places.setdefault(grid.scenes.lights.environment.map, f"grids.{g}.scenes.lights.environment.map")
             continue
         for s, scene in enumerate(grid.scenes or ()):
-            yield from _map(scene.lights, f"grids.{g}.scenes.{s}")
-            for k, thing in enumerate(scene.objects):
-                yield thing.mesh, f"grids.{g}.scenes.{s}.objects.{k}.mesh"
+            _add_names(places, scene, f"grids.{g}.scenes.{s}")
     for j, job in enumerate(campaign.jobs):
-        yield from _map(job.scene.lights, f"jobs.{j}.scene")
-        for k, thing in enumerate(job.scene.objects):
-            yield thing.mesh, f"jobs.{j}.scene.objects.{k}.mesh"
+        _add_names(places, job.scene, f"jobs.{j}.scene")
+    return {name: place for name, place in places.items() if name.startswith("sha256:")}
 
 
-def _map(lights: Lights, place: str) -> Iterator[tuple[str, str]]:
-    """The environment map of a scene if it is an upload, and its place."""
-    if lights.environment.map.startswith("sha256:"):
-        yield lights.environment.map, f"{place}.lights.environment.map"
+def _add_names(places: dict[str, str], scene: Scene, place: str) -> None:
+    places.setdefault(scene.lights.environment.map, f"{place}.lights.environment.map")
+    for k, thing in enumerate(scene.objects):
+        places.setdefault(thing.mesh, f"{place}.objects.{k}.mesh")
 
 
 def samples(campaign: CampaignSpec) -> Iterator[tuple[JobSpec, Places]]:

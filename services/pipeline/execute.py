@@ -3,6 +3,7 @@
 Of an attack that was ended before its time, `best_so_far` keeps the best of its checkpoint.
 """
 
+import json
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -10,12 +11,13 @@ from typing import Literal
 
 import torch
 from pydantic import BaseModel, ConfigDict, Field
+from safetensors.torch import save_file
 from torch import Tensor
 
 from services.analysis.attribution import of_subsets
 from services.analysis.expectation import held_over
-from services.analysis.images import answer, beyond, of_float_images, of_groups, of_images, save_png
-from services.analysis.records import Answer, HeldOver
+from services.analysis.images import answer, beyond, magnified, of_float_images, of_groups, of_images, save_png
+from services.analysis.records import Analyses, AnalysisRequest, Answer, HeldOver
 from services.analysis.subsets import ScoredImage, scored, subsets
 from services.attacks.leave_out import LeftOut, leave_out
 from services.attacks.limits import at_epsilon
@@ -24,28 +26,30 @@ from services.attacks.run import AttackRun, check_masking, run_attack
 from services.attacks.run import best as best_of_checkpoint
 from services.attacks.trace import TraceRow
 from services.errors import Cancelled
+from services.extensions import loaded_extensions
 from services.pipeline.analyse import Report, Subject, analyse
-from services.pipeline.extensions import loaded_extensions
 from services.pipeline.prepare import Prepared, lit_by_map, prepare, prepare_exactly
-from services.pipeline.question_record import QuestionResult
 from services.pipeline.result import (
+    ATTACKED,
     BEST_SO_FAR,
+    PERTURBATION,
     RESULT,
     AtEpsilon,
     JobVerdict,
     JobWarning,
     Measured,
     Provenance,
+    QuestionResult,
     Result,
     StoredChange,
     subset_image,
 )
 from services.pipeline.spec import JobSpec
-from services.pipeline.stored import save_change
 from services.process import versions
-from services.rendering.physical_change import Change, changes_in_words
+from services.rendering.declaration import RENDERERS
+from services.rendering.physical_change import Change, change_images, changes_in_words
 from services.rendering.plan import Plan
-from services.rendering.protocol import Parameters
+from services.rendering.protocol import Parameters, Renderer
 from services.scenes.library import Library
 from services.targets.info import TARGETS
 
@@ -101,7 +105,9 @@ def execute(
     prepared = prepare(spec, library)
     checked(prepared.spec, prepared.settled.warnings)
     problem = _problem(prepared, interrupt)
-    problem, left_out = leave_out(problem, spec.attack.leave_out, partial(report, "loading", "leave_out"))
+    left_out = None
+    if spec.attack.leave_out:
+        problem, left_out = leave_out(problem, spec.attack.leave_out, partial(report, "loading", "leave_out"))
 
     def on_row(row: TraceRow) -> None:
         progress(Progress(phase="attacking", step=row.step, steps=steps, row=row))
@@ -159,7 +165,9 @@ def _write(
     attacked = scored(verifier, stored)
     ends = original, attacked
     rows = subsets(verifier, settled.goal, stored, *ends, lambda row, image: save_png(image, out / subset_image(row)))
-    analyses = analyse(Subject(prepared, stored, *ends), prepared.spec.analysis, library, report)
+    analyses = Analyses()
+    if prepared.spec.analysis != AnalysisRequest():  # it asks for some
+        analyses = analyse(Subject(prepared, stored, *ends), prepared.spec.analysis, library, report)
     held = _held_over(prepared, stored, partial(report, "expectation"))
     verdict, questions = _verdict(prepared, run, attacked, out)
     answer_of = partial(answer, labels=prepared.target.labels, goal=settled.goal)
@@ -184,11 +192,43 @@ def _write(
         trace=run.trace,
         provenance=provenance(prepared),
     )
-    save_change(prepared, stored, attacked.saved, out)
+    _save_change(prepared, stored, attacked.saved, out)
     trace = ",\n".join(row.model_dump_json() for row in run.trace)
     (out / "trace.json").write_text(f"[{trace}]\n", "utf-8")
     (out / RESULT).write_text(result.model_dump_json(indent=1) + "\n", "utf-8")
     return result
+
+
+def _save_change(prepared: Prepared, stored: Parameters, attacked: Tensor, out: Path) -> None:
+    """Writes the files into the directory `out`. attacked: the exact image of `stored`, uint8 [H, W, 3]."""
+    save_png(prepared.original.saved, out / "original.png")
+    save_png(attacked, out / ATTACKED)
+    save_png(magnified(prepared.original.saved, attacked), out / "perturbation.png")
+    for name, image in change_images(prepared.renderer, stored).items():
+        save_png(image, out / name)
+    _save_perturbation(stored, prepared.renderer, out / PERTURBATION)
+
+
+def _save_perturbation(perturbation: Parameters, renderer: Renderer, path: Path) -> None:
+    """Writes one tensor for each group: its change from the scene's own values, `_described` as metadata."""
+    tensors = {group: value.contiguous() for group, value in perturbation.items()}
+    # One entry: the library writes several in an order of its own, and the same job gives the same bytes.
+    save_file(tensors, path, metadata={"groups": _described(perturbation, renderer)})
+
+
+def _described(perturbation: Parameters, renderer: Renderer) -> str:
+    """JSON: for each group its unit, its axes and, where they have names, its coordinates in flat order."""
+    declared = {group.name: group for group in RENDERERS[renderer.name].groups}
+    description = {
+        group: {
+            "unit": declared[group].unit,
+            "axes": list(declared[group].shape),
+            "names": renderer.names(group),
+            "values": "change from the scene's own values",
+        }
+        for group in sorted(perturbation)
+    }
+    return json.dumps(description, ensure_ascii=False)
 
 
 def _held_over(prepared: Prepared, stored: Parameters, tick: Callable[[int, int], None]) -> HeldOver | None:
@@ -326,6 +366,6 @@ def best_so_far(spec: JobSpec, path: Path, out: Path, library: Library) -> BestS
         perceptibility=of_images(original.saved, attacked.saved),
         changes=changes_in_words(prepared.scene, prepared.renderer, stored),
     )
-    save_change(prepared, stored, attacked.saved, out)
+    _save_change(prepared, stored, attacked.saved, out)
     (out / BEST_SO_FAR).write_text(best.model_dump_json(indent=1) + "\n", "utf-8")
     return best

@@ -11,8 +11,8 @@ from typing import Literal
 from pydantic import BaseModel, Field, ValidationError
 
 from services.errors import InvalidRequest
-from services.extensions import NAME
-from services.pipeline.extensions import CARD, MODEL_FILES, loaded_extensions, register_folder
+from services.extensions import NAME, loaded_extensions
+from services.pipeline.extensions import CARD, MODEL_FILES, register_folder
 from services.pipeline.result import Result
 from services.pipeline.spec import JobSpec
 from services.scenes.exported_assets import check_plain

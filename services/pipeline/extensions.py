@@ -13,7 +13,7 @@ from pydantic import ValidationError
 
 from services.attacks.attack import ATTACKS
 from services.errors import InvalidRequest, printable
-from services.extensions import NAME, Extension, load
+from services.extensions import NAME, load, loaded_extensions
 from services.logs import logger
 from services.pipeline.field_errors import invalid_fields
 from services.process import use
@@ -57,7 +57,6 @@ log = logger(__name__)
 @dataclass(frozen=True)
 class _Loaded:
     settings: Settings
-    extensions: tuple[Extension, ...]
     target_folders: tuple[TargetFolder, ...]
 
 
@@ -74,17 +73,12 @@ def set_up(settings: Settings) -> None:
     global _loaded
     use(settings)
     if _loaded is None:
-        extensions = load(settings.extension_paths, (ATTACKS, RENDERERS, TARGETS, ARCHITECTURES))
-        _loaded = _Loaded(settings, extensions, register_folders(settings.target_folder, AllowList.of(settings)))
+        load(settings.extension_paths, (ATTACKS, RENDERERS, TARGETS, ARCHITECTURES))
+        _loaded = _Loaded(settings, register_folders(settings.target_folder, AllowList.of(settings)))
     for name in SETTINGS:
         if getattr(settings, name) != getattr(_loaded.settings, name):
             detail = "this process has loaded what another value names; start another process"
             raise InvalidRequest(f"SCENE_ATTACK_{name.upper()}", detail)
-
-
-def loaded_extensions() -> tuple[Extension, ...]:
-    """Returns the files that SCENE_ATTACK_EXTENSIONS names, each with what it registered or the error it raised."""
-    return () if _loaded is None else _loaded.extensions
 
 
 def target_folders() -> tuple[TargetFolder, ...]:
@@ -172,7 +166,7 @@ def read_card(folder: Path) -> tuple[Card, str]:
     try:
         card = Card.model_validate(read_json(data))
     except ValidationError as error:
-        first, *others = invalid_fields(error.errors(include_url=False), Card.model_json_schema())
+        first, *others = invalid_fields(error.errors(include_url=False), Card)
         detail = "; ".join([first.detail, *map(str, others)])
         raise InvalidRequest(f"{CARD}: {first.field}", detail) from error
     except NotJson as error:

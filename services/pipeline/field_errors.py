@@ -7,9 +7,12 @@ Where there is no such schema, `in_words` says what a pydantic error says in its
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from itertools import islice
 from math import pi, radians
 from typing import Any
+
+from pydantic import BaseModel
 
 from services.errors import InvalidRequest, encodable
 from services.strict import UNKNOWN
@@ -41,15 +44,15 @@ class _Place:
     description: str | None
 
 
-def invalid_fields(items: Iterable[Mapping[str, Any]], schema: Schema) -> list[InvalidRequest]:
-    """Returns one InvalidRequest for each invalid field, in the order of `items`.
+def invalid_fields(items: Iterable[Mapping[str, Any]], model: type[BaseModel]) -> list[InvalidRequest]:
+    """Returns one InvalidRequest for each invalid field of a model, in the order of `items`. Its path is as a client
+    writes it, without pydantic's tags of unions.
 
-    `items` are the dictionaries of `pydantic.ValidationError.errors()`, with `loc` relative to the model of `schema`;
-    the first MAX_ERRORS count.
+    `items` are the dictionaries of `pydantic.ValidationError.errors()`, of which the first MAX_ERRORS count.
     A field with alternatives is reported once, with all of them; where an alternative has fields of its own that are
     invalid, those are reported instead.
     """
-    details: dict[tuple[str, ...], str] = {}
+    schema, details = _schema(model), dict[tuple[str, ...], str]()
     for item in islice(items, MAX_ERRORS):
         path, detail = _error(item, schema)
         details.setdefault(path, detail)
@@ -57,6 +60,11 @@ def invalid_fields(items: Iterable[Mapping[str, Any]], schema: Schema) -> list[I
     enclosing = {path[:length] for path in details for length in range(len(path))}
     inner = [path for path in details if path not in enclosing]
     return [InvalidRequest(_path(path), _shortened(encodable(details[path]), MAX_DETAIL)) for path in inner]
+
+
+@cache
+def _schema(model: type[BaseModel]) -> Schema:
+    return model.model_json_schema()
 
 
 def _path(parts: Sequence[str]) -> str:

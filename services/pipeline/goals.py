@@ -1,13 +1,12 @@
 """Questions to a network and the judgement of its answers: the truth, the labels to leave, and the label to reach.
 
-A `Task` is what the rest of the pipeline knows of it. `Classification` is that of a network that says what it sees;
-that of a network that answers questions about scenes after CLEVR is in `questions`.
+`Classification` is the task of a network that says what it sees. That of a network that answers questions about scenes
+after CLEVR, `questions.QuestionTask`, has the same methods.
 """
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 from torch import Tensor
 
@@ -16,15 +15,11 @@ from services.analysis.subsets import ScoredImage
 from services.analysis.transfer import indices
 from services.analysis.verdict import Verdict, judge
 from services.attacks.goal import ResolvedGoal
-from services.attacks.limits import Constraint
 from services.errors import InvalidRequest
 from services.pipeline.preview_record import FirstAnswer
-from services.pipeline.question_record import Asked, QuestionResult
-from services.pipeline.result import JobWarning, warnings
-from services.pipeline.spec import MAX_LABELS, AskedGoal, Goal, asked_goal, with_same
-from services.rendering.plan import Plan
+from services.pipeline.result import Asked, JobWarning, QuestionResult, warnings
+from services.pipeline.spec import MAX_LABELS, AskedGoal, Goal, with_same
 from services.rendering.protocol import Parameters
-from services.targets import registry
 from services.targets.info import TargetInfo
 from services.targets.labels import truth_labels
 from services.targets.protocol import Target
@@ -43,93 +38,53 @@ class Settled:
     warnings: tuple[JobWarning, ...]
 
 
-class PlannedConstraint(Constraint, Protocol):
-    """A constraint that the plan states."""
+@dataclass(frozen=True)
+class Classification:
+    """A network that says what it sees, or answers a question of which nothing but the scores is known."""
 
-    def in_plan(self, plan: Plan) -> Plan:
-        """The plan with what the search leaves out."""
-        ...
+    target: Target
+    """The network under attack, with its question if it takes one."""
+    asked: AskedGoal
+    table: tuple[int, ...]
+    """The labels that the reviewed table says are right for the scene (`table_truth`)."""
+    question: str | None
 
-
-class Task(Protocol):
-    """Questions to a network about a scene, and the judgement of its answers."""
-
-    @property
-    def target(self) -> Target:
-        """The network under attack, with its question if it takes one."""
-        ...
-
-    @property
-    def goal(self) -> Goal:
-        """The goal of the request, with what follows from a question filled in."""
-        ...
-
-    def settle(self, original: Tensor, logits: Tensor) -> Settled:
+    def settle(self, original: Tensor, logits: Tensor) -> Settled:  # noqa: ARG002 - several questions need it
         """Settles the goal, given the original image, uint8 [H, W, 3], and the target's scores [K] of it.
 
         Raises InvalidRequest for a goal that cannot be met or is met already.
         """
-        ...
+        return settle(self.asked, self.table, logits)
 
-    def constraint(self, renderer: str, initial: Parameters) -> PlannedConstraint | None:
-        """The limits of the search beside those of the request; `initial` are the attacked groups' values."""
-        ...
-
-    def stated(self) -> tuple[Asked, ...]:
-        """The questions with their programs and right answers, as plans and results state them."""
-        ...
-
-    def first_answers(self, original: Tensor, logits: Tensor, goal: ResolvedGoal) -> tuple[FirstAnswer, ...]:
-        """The answers to the original image, one for each question."""
-        ...
-
-    def judge(
-        self, settled: Settled, renderer: str, stored: Parameters, before: ScoredImage, after: ScoredImage, out: Path
-    ) -> tuple[Verdict, list[QuestionResult]]:
-        """Returns the outcome of the attack and the records of the questions, whose files are written into `out`.
-
-        `stored` is the perturbation, drawn by `renderer`; `before` and `after` are the exact images without and with
-        it.
+    def constraint(self, renderer: str, initial: Parameters) -> None:
+        """The limits of the search beside those of the request; `initial` are the attacked groups' values. There are
+        none: only the answer to a question depends on where things are.
         """
-        ...
-
-
-class Classification:
-    """A network that says what it sees, or answers a question of which nothing but the scores is known."""
-
-    def __init__(self, name: str, target: Target, question: str | None, goal: Goal, meshes: Sequence[str]) -> None:
-        """`name` is the target's in the request. Raises InvalidRequest for a label that the network does not have."""
-        card, labels = registry.card(name), registry.labels(name)
-        self.target, self.goal, self._question = target, goal, question
-        self._asked = asked_goal(goal, card, labels)
-        self._table = table_truth(meshes, card, labels)
-
-    def settle(self, original: Tensor, logits: Tensor) -> Settled:  # noqa: ARG002 - the protocol's
-        """As `settle` does, with the truth of the reviewed table."""
-        return settle(self._asked, self._table, logits)
-
-    def constraint(self, renderer: str, initial: Parameters) -> PlannedConstraint | None:  # noqa: ARG002
-        """None: only a question's answer depends on where things are."""
-        return None
 
     def stated(self) -> tuple[Asked, ...]:
-        """None: the program of the question is not known, if there is one."""
+        """The questions with their programs and right answers, as plans and results state them. There are none: the
+        program of the question is not known, if there is one.
+        """
         return ()
 
     def first_answers(self, original: Tensor, logits: Tensor, goal: ResolvedGoal) -> tuple[FirstAnswer, ...]:  # noqa: ARG002
-        """The one answer."""
-        return (FirstAnswer(question=self._question, answer=answer(logits, self.target.labels, goal)),)
+        """The answers to the original image, one for each question."""
+        return (FirstAnswer(question=self.question, answer=answer(logits, self.target.labels, goal)),)
 
     def judge(
         self,
         settled: Settled,
-        renderer: str,  # noqa: ARG002 - the protocol's
+        renderer: str,  # noqa: ARG002
         stored: Parameters,  # noqa: ARG002
         before: ScoredImage,
         after: ScoredImage,
         out: Path,  # noqa: ARG002
     ) -> tuple[Verdict, list[QuestionResult]]:
-        """Judges by the truth, the answers before and after, and whether the goal is met."""
+        """Returns the outcome of the attack and the records of the questions, whose files are written into `out`.
+
+        `stored` is the perturbation, drawn by `renderer`; `before` and `after` are the exact images without and with
+        it. The outcome follows from the truth, the answers before and after, and whether the goal is met.
+        """
         first, last = int(before.logits.argmax()), int(after.logits.argmax())
         return judge(settled.truth, first, last, bool(settled.goal.fooled(after.logits))), []
 

@@ -4,7 +4,8 @@ A warm process recalls what it measured of a scene when a later job has the same
 """
 
 from collections import OrderedDict
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Hashable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from math import radians
 from typing import Any
@@ -23,10 +24,11 @@ from services.attacks.run import Verifier
 from services.errors import InvalidFields, InvalidRequest, named
 from services.pipeline import goals
 from services.pipeline.described import can_carry
-from services.pipeline.goals import PlannedConstraint, Settled, Task
+from services.pipeline.goals import Classification, Settled
 from services.pipeline.preview_record import JobPlan
-from services.pipeline.questions import task_of
-from services.pipeline.spec import JobSpec, asked_goal
+from services.pipeline.questions import FIELD, QuestionTask, asked_questions, check_scene
+from services.pipeline.scene_limits import SceneLimits
+from services.pipeline.spec import AskedGoal, JobSpec, asked_goal
 from services.rendering.color import to_bytes
 from services.rendering.declaration import RENDERERS
 from services.rendering.factory import build
@@ -40,7 +42,7 @@ from services.scenes.library import Library
 from services.scenes.resolve import ResolvedScene, resolve
 from services.targets import registry
 from services.targets.info import TARGETS
-from services.targets.protocol import Target
+from services.targets.protocol import ProgramTarget, QuestionTarget, Target
 from services.text import there_are
 
 SURROGATE = "attack.surrogate"
@@ -60,11 +62,11 @@ class Prepared:
     verifier: Verifier
     original: ScoredImage
     """The image of the scene, and the network's scores of it."""
-    task: Task
+    task: Classification | QuestionTask
     """Questions to the network, and the judgement of its answers."""
     settled: Settled
     """The goal, the right labels, and the warnings."""
-    constraint: PlannedConstraint | None
+    constraint: SceneLimits | None
     """The limits of the search beside those of the request."""
 
     def plan(self) -> Plan:
@@ -118,21 +120,21 @@ def prepare(spec: JobSpec, library: Library) -> Prepared:
 
 def _prepare(spec: JobSpec, library: Library, tolerance: Tolerance) -> Prepared:
     """`prepare` with a renderer of this tolerance; the environment map is chosen by the job's own."""
-    labels = registry.labels(spec.target.name)
+    labels, card = registry.labels(spec.target.name), registry.card(spec.target.name)
     if len(labels) < 2:
         raise InvalidRequest("target.name", f"{spec.target.name} has one label only; there is no other answer")
-    card = registry.card(spec.target.name)
-    _check_together(  # before anything is rendered
-        lambda: asked_goal(spec.goal, card, labels),
-        lambda: check_analysis(spec),
-        lambda: check_surrogate(spec),
-        lambda: _check_gradient(spec),
-        lambda: _check_materials(spec),
-    )
+    wrong: list[InvalidRequest] = []  # all that can be known before anything is rendered
+    with _collected(wrong):
+        asked = asked_goal(spec.goal, card, labels)
+    for check in (check_analysis, check_surrogate, _check_gradient, _check_materials):
+        with _collected(wrong):
+            check(spec)
+    if wrong:
+        raise InvalidFields(wrong)
     scene = resolved_scene(spec, library)
     spec = spec.model_copy(update={"scene": scene.description})
     network = registry.load(spec.target.name)
-    task = task_of(spec, network)
+    task = task_of(spec, network, asked)
     target = task.target
     renderer = _renderer(spec, scene, tolerance)
     if spec.attack.expectation is not None:
@@ -164,16 +166,42 @@ def _prepare(spec: JobSpec, library: Library, tolerance: Tolerance) -> Prepared:
     )
 
 
-def _check_together(*checks: Callable[[], object]) -> None:
-    """Makes all of the checks. Raises InvalidFields with every field that one of them refuses."""
-    wrong: list[InvalidRequest] = []
-    for check in checks:
-        try:
-            check()
-        except InvalidRequest as error:
-            wrong += error.every
-    if wrong:
-        raise InvalidFields(wrong)
+@contextmanager
+def _collected(wrong: list[InvalidRequest]) -> Iterator[None]:
+    """Adds the fields that a check refuses to `wrong`, in place of raising its error."""
+    try:
+        yield
+    except InvalidRequest as error:
+        wrong += error.every
+
+
+def task_of(spec: JobSpec, network: Target, asked: AskedGoal) -> Classification | QuestionTask:
+    """Returns what a request asks of a network, given its goal in the network's labels.
+
+    Raises InvalidRequest for a question to a network that takes none and for none to one that does, for several to one
+    that takes one, for a kind of answers to leave where there is none, and as `check_scene`, `asked_questions` and
+    `QuestionTask` do.
+    """
+    if spec.record is not None:
+        check_scene(spec.scene, spec.record)
+    choice = spec.target
+    given = FIELD if choice.question is not None else f"{FIELD}s.0" if choice.questions else None
+    if network.takes_question and given is None:
+        raise InvalidRequest(FIELD, f"is required: {network.name} answers questions")
+    if given is not None and not network.takes_question:
+        raise InvalidRequest(given, f"{network.name} answers no questions; leave it out")
+    if network.takes_question and isinstance(network, ProgramTarget):
+        return QuestionTask(network, asked_questions(spec, network), spec)
+    if choice.questions:
+        raise InvalidRequest(f"{FIELD}s", f"{network.name} takes one question")
+    if spec.goal.leave_kind:
+        raise InvalidRequest("goal.leave_kind", "only a question has a kind of answers; leave it out")
+    target = network
+    if isinstance(network, QuestionTarget) and choice.asked is not None:
+        target = network.asked(choice.asked)
+    meshes = [thing.mesh for thing in spec.scene.objects]
+    table = goals.table_truth(meshes, registry.card(choice.name), asked.labels)
+    return Classification(target, asked, table, choice.asked)
 
 
 def check_analysis(spec: JobSpec) -> None:

@@ -7,8 +7,7 @@ import operator
 from pydantic import BaseModel, ConfigDict, Field
 
 from services.analysis.records import Answer
-from services.pipeline.question_record import Asked
-from services.pipeline.result import JobWarning
+from services.pipeline.result import Asked, JobWarning
 from services.pipeline.spec import JobSpec
 from services.rendering.plan import Plan
 

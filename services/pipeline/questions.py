@@ -19,11 +19,11 @@ from services.analysis.verdict import SUCCESS, Verdict, judge
 from services.attacks.goal import ResolvedGoal
 from services.errors import InvalidRequest
 from services.pipeline.described import can_carry, described
-from services.pipeline.goals import Classification, Settled, Task
+from services.pipeline.goals import Classification, Settled
 from services.pipeline.preview_record import FirstAnswer
-from services.pipeline.question_record import ATTENTION, Asked, Attended, Call, QuestionResult
+from services.pipeline.result import ATTENTION, Asked, Attended, QuestionResult
 from services.pipeline.scene_limits import SceneLimits
-from services.pipeline.spec import Goal, JobSpec, TargetChoice
+from services.pipeline.spec import Call, Goal, JobSpec, asked_goal
 from services.questions.executor import ANSWERS, KINDS, Facts, IllPosed, answer, kind_asked
 from services.questions.program import InvalidProgram, Program, Type, program_in
 from services.questions.text import difference
@@ -33,7 +33,8 @@ from services.rendering.pyrender_renderer.declaration import PYRENDER
 from services.scenes.clevr.description import record_after, scene_of
 from services.scenes.clevr.records import IMAGE_SIZE, SceneRecord
 from services.scenes.description import Camera, Scene, SceneObject
-from services.targets.protocol import ProgramTarget, QuestionTarget, Target
+from services.targets import registry
+from services.targets.protocol import ProgramTarget, Target
 
 FIELD = "target.question"
 PROPORTION = 0.01
@@ -79,44 +80,32 @@ class AskedQuestion:
             return None
 
 
-def task_of(spec: JobSpec, network: Target) -> Task:
-    """Returns what a request asks of a network. Raises InvalidRequest as `asked_questions` does, and for the goal."""
-    questions = asked_questions(spec, network)
-    if questions and isinstance(network, ProgramTarget):
-        return QuestionTask(network, questions, spec)
-    if spec.goal.leave_kind:
-        raise InvalidRequest("goal.leave_kind", "only a question has a kind of answers; leave it out")
-    meshes = [thing.mesh for thing in spec.scene.objects]
-    return Classification(spec.target.name, bound(network, spec.target), spec.target.asked, spec.goal, meshes)
-
-
 class QuestionTask:
-    """Questions about a scene after CLEVR, whose right answers follow from its record; implements `Task`.
+    """Questions about a scene after CLEVR, whose right answers follow from its record. Its methods are those of
+    `Classification`.
 
     One is attacked as a classification of answers, several are attacked together.
     """
 
     target: Target
-    goal: Goal
 
     def __init__(self, network: ProgramTarget, questions: Sequence[AskedQuestion], spec: JobSpec) -> None:
         """Raises InvalidRequest as `goal_of` and `goals_together` do."""
-        self._network, self._questions = network, tuple(questions)
+        self._network, self._questions, self._goal = network, tuple(questions), spec.goal
         self._texts = [question.asked for question in questions]
         self._alone: Classification | None = None
         self._goals: tuple[ResolvedGoal, ...] = ()
         if spec.target.questions:
             self._goals = goals_together(spec.goal, questions)
-            self.target, self.goal = Together(network, self._texts, self._goals), spec.goal
+            self.target = Together(network, self._texts, self._goals)
         else:
-            self._alone = Classification(
-                spec.target.name, network.asked(self._texts[0]), None, goal_of(spec.goal, questions[0]), ()
-            )
-            self.target, self.goal = self._alone.target, self._alone.goal
+            goal = asked_goal(goal_of(spec.goal, questions[0]), registry.card(network.name), network.labels)
+            self.target = network.asked(self._texts[0])
+            self._alone = Classification(self.target, goal, (), None)
 
     @torch.no_grad()
     def settle(self, original: Tensor, logits: Tensor) -> Settled:
-        """As `goals.settle` does for one question.
+        """As `Classification.settle` does for one question.
 
         Raises InvalidRequest ("target.questions.1") for one of several that the network gets wrong, as there is nothing
         to attack.
@@ -130,7 +119,7 @@ class QuestionTask:
                     f"the network gets it wrong before the attack: it says {ANSWERS[best]!r}, not {question.right!r}; "
                     "leave it out",
                 )
-        return Settled(self.goal, ResolvedGoal((0,), None), (0,), ())
+        return Settled(self._goal, ResolvedGoal((0,), None), (0,), ())
 
     def constraint(self, renderer: str, initial: Parameters) -> SceneLimits | None:
         """That the questions find the same in the scene; None for a renderer that moves no object."""
@@ -191,39 +180,22 @@ class QuestionTask:
         return self._network.answers(from_bytes(image)[None], self._texts)[0]
 
 
-def bound(target: Target, choice: TargetChoice) -> Target:
-    """Returns the target with the one question of a request; itself if it takes none."""
-    return target if choice.asked is None or not isinstance(target, QuestionTarget) else target.asked(choice.asked)
+def asked_questions(spec: JobSpec, network: ProgramTarget) -> tuple[AskedQuestion, ...]:
+    """Returns the questions of a job.
 
-
-def asked_questions(spec: JobSpec, target: Target) -> tuple[AskedQuestion, ...]:
-    """Returns the questions of a job; none for a target without a program.
-
-    Raises InvalidRequest for a question to a target that takes none and for none to one that does, for a question
-    outside the language, an invalid program, and an ill-posed question ("target.question"); for a scene that has no
-    record ("record"); and as `check_scene` does, whatever the target.
+    Raises InvalidRequest for a question outside the language, an invalid program, and an ill-posed question
+    ("target.question"), and for a scene that has no record ("record").
     """
-    check_scene(spec)
     choice = spec.target
     entries: list[tuple[str, str | tuple[Call, ...], str]] = []
     if choice.question is not None and choice.asked is not None:
         entries.append((FIELD, choice.question, choice.asked))
     for number, (question, asked) in enumerate(zip(choice.questions, choice.together, strict=True)):
         entries.append((f"{FIELD}s.{number}", question, asked))
-    if not target.takes_question:
-        if entries:
-            raise InvalidRequest(entries[0][0], f"{target.name} answers no questions; leave it out")
-        return ()
-    if not entries:
-        raise InvalidRequest(FIELD, f"is required: {target.name} answers questions")
-    if not isinstance(target, ProgramTarget):
-        if choice.questions:
-            raise InvalidRequest(f"{FIELD}s", f"{target.name} takes one question")
-        return ()
-    programs = [_program(target, asked, field) for field, _, asked in entries]
+    programs = [_program(network, asked, field) for field, _, asked in entries]
     if spec.record is None:
         raise InvalidRequest(
-            "record", f"{target.name} is asked about scenes after CLEVR; give the scene as `record` or `generate`"
+            "record", f"{network.name} is asked about scenes after CLEVR; give the scene as `record` or `generate`"
         )
     return tuple(
         AskedQuestion(
@@ -285,15 +257,12 @@ def _right(program: Program, record: SceneRecord, field: str, question: object) 
         raise InvalidRequest(field, error.detail) from error
 
 
-def check_scene(spec: JobSpec) -> None:
+def check_scene(scene: Scene, record: SceneRecord) -> None:
     """Checks a scene that is given beside its record.
 
     Raises InvalidRequest("scene") unless objects and camera are those of the record, and as `scene_of` does.
     Raises InvalidRequest("scene.camera.size") for an image of other proportions, whose frame would be another.
     """
-    if spec.record is None:
-        return
-    scene, record = spec.scene, spec.record
     due = scene_of(record)
     same = len(scene.objects) == len(due.objects) and all(
         _is_same(thing, other) for thing, other in zip(scene.objects, due.objects, strict=True)

@@ -1,23 +1,67 @@
-"""Renders the perturbation of a stored result again, to check the result on this machine."""
+"""Reads the directory of a finished job, and renders its perturbation again, to check the result on this machine."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
-from pydantic import BaseModel
+from pydantic import BaseModel, ValidationError
+from safetensors import SafetensorError
+from safetensors.torch import load_file
+from torch import Tensor
 
-from services.analysis.images import answer
+from services.analysis.images import answer, load_png
 from services.analysis.records import AnalysisRequest, Answer
 from services.errors import InvalidRequest
 from services.pipeline.exported_targets import register_exported
+from services.pipeline.field_errors import in_words
 from services.pipeline.prepare import prepare_exactly
-from services.pipeline.result import Provenance
+from services.pipeline.result import ATTACKED, PERTURBATION, RESULT, Provenance, Result
 from services.pipeline.spec import parse
-from services.pipeline.stored import read_stored
+from services.rendering.protocol import Parameters
 from services.scenes.exported_assets import ASSETS, exported_library
 from services.scenes.library import Library
 from services.settings import DEFAULTS, Settings
 from services.targets import registry
+
+
+@dataclass(frozen=True)
+class Stored:
+    """A result, its perturbation and its attacked image, uint8 [H, W, 3]."""
+
+    result: Result
+    perturbation: Parameters
+    attacked: Tensor
+
+    def check(self, initial: Parameters, groups: Sequence[str]) -> None:
+        """Raises InvalidRequest("directory") unless the perturbation has these groups, with the shapes of `initial`."""
+        expected = {group: list(initial[group].shape) for group in groups}
+        shapes = {group: list(value.shape) for group, value in self.perturbation.items()}
+        if shapes != expected:
+            detail = f"its perturbation has the groups and shapes {shapes}, which are not {expected} of its request"
+            raise InvalidRequest("directory", detail)
+
+
+def read_stored(directory: Path) -> Stored:
+    """Reads the directory that `run --out` wrote, or into which `jobs download` put a job's files.
+
+    Raises InvalidRequest("directory") if a file is missing or damaged.
+    """
+    try:
+        return Stored(
+            Result.model_validate_json((directory / RESULT).read_bytes()),
+            load_file(directory / PERTURBATION),
+            load_png(directory / ATTACKED),
+        )
+    except ValidationError as error:
+        first, *others = error.errors(include_url=False, include_input=False)
+        detail = f"{'.'.join(map(str, first['loc'])) or 'the file'}: {in_words(first)}"
+        more = f" (and {len(others)} more)" if others else ""
+        raise InvalidRequest("directory", f"{directory / RESULT} is no result: {detail}{more}") from error
+    except (OSError, ValueError, SafetensorError) as error:
+        missing = [name for name in (RESULT, PERTURBATION, ATTACKED) if not (directory / name).is_file()]
+        detail = f"there is no file {missing[0]}" if missing else str(error)  # safetensors does not say which
+        raise InvalidRequest("directory", f"{directory} is not the output of a finished job: {detail}") from error
 
 
 class Replay(BaseModel):

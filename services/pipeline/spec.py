@@ -1,19 +1,22 @@
 """The model of a whole request, which is the same JSON for `POST /v1/jobs` and `scene-attack run`.
 
 The attack of a request is one of all that are registered when it is read, the operator's extensions among them. The
-labels that its goal names are looked up by `asked_goal`. `RerenderingSpec` is the request of the other kind of job. No
-torch is needed, so that a request is checked before it is queued.
+labels that its goal names are looked up by `asked_goal`, all other names by `names_in`. `scene_name` and the functions
+after it name a request in lists and tables. `RerenderingSpec` is the request of the other kind of job. No torch is
+needed, so that a request is checked before it is queued.
 """
 
 import json
 import operator
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from hashlib import sha256
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, Union
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeVar, Union
 
 from pydantic import (
+    AliasChoices,
     BaseModel,
     ConfigDict,
     Field,
@@ -33,14 +36,16 @@ from services.attacks.attack import ATTACKS, Attack
 from services.attacks.request import Seed
 from services.errors import InvalidFields, InvalidRequest
 from services.pipeline.field_errors import invalid_fields
-from services.pipeline.question_record import MOST_TOGETHER, Call, Calls, Text, program, with_scene
-from services.questions.program import written
+from services.questions.program import FUNCTIONS, MAX_NODES, TYPE_WORDS, InvalidProgram, Program, written
 from services.rendering.declaration import RENDERERS
 from services.rendering.plan import DEFAULT_TOLERANCE
-from services.scenes.clevr.description import Generate
+from services.rendering.torch_renderer.declaration import check_preset
+from services.scenes.clevr.description import Generate, scene_of
 from services.scenes.clevr.records import SceneRecord
 from services.scenes.description import Model, Scene, absent
+from services.scenes.library import Library
 from services.strict import Names, reference, unknown_parts
+from services.targets.download import check_obtainable
 from services.targets.info import LONGEST_LABEL, TARGETS, TargetInfo
 from services.targets.labels import labels, same_labels
 from services.text import closest, did_you_mean
@@ -115,6 +120,67 @@ else:
 
 AnyTolerance = Annotated[float, Field(ge=1e-6, le=0.1, allow_inf_nan=False)] | Literal["exact"]
 DEFAULT_TARGET = "efficientnet-lite0"
+
+
+MOST_TEXT = 1000
+"""Characters of a question."""
+MOST_TOGETHER = 16
+"""Questions about one image that are attacked together."""
+Word = Annotated[str, Field(max_length=40)]
+
+
+class Call(Model):
+    """A function of a question's program, as in CLEVR's question files; its generator's words for the fields count."""
+
+    function: Word = Field(
+        validation_alias=AliasChoices("function", "type"), description="a function of the language, e.g. `filter_color`"
+    )
+    inputs: tuple[int, ...] = Field(
+        (), max_length=8, description="numbers of the earlier functions whose outputs it takes, from 0"
+    )
+    value_inputs: tuple[Word, ...] = Field(
+        (),
+        max_length=8,
+        validation_alias=AliasChoices("value_inputs", "side_inputs"),
+        description='its values, e.g. ["red"]',
+    )
+
+
+Calls = Annotated[tuple[Call, ...], Field(max_length=MAX_NODES)]
+Text = Annotated[str, Field(max_length=MOST_TEXT)]
+
+
+def program(calls: tuple[Call, ...]) -> Program:
+    """Returns the program of a request. Raises ValueError, which names the first invalid function by its number."""
+    parsed = Program.read([call.model_dump() for call in calls])
+    try:
+        parsed.check()
+    except InvalidProgram as error:
+        raise ValueError(error.detail if error.node is None else f"{error.node}: {error.detail}") from error
+    return parsed
+
+
+def with_scene(data: dict[str, Any]) -> dict[str, Any]:
+    """Fills in the scene of a request that gives it as CLEVR does: by a `record`, or by what to `generate`.
+
+    Raises ValueError, which begins with the field that is wrong, and pydantic's error for fields of a wrong type.
+    """
+    if data.get("generate") is not None:
+        if others := [name for name in ("scene", "record") if data.get(name) is not None]:
+            raise InvalidRequest("generate", f"leave it out where {others[0]} is given")
+        generator = _Asked.model_validate({"generate": data["generate"]}).generate
+        assert generator is not None
+        data = {**data, "generate": None, "record": generator.record()}
+    if data.get("record") is not None and data.get("scene") is None:
+        record = _Asked.model_validate({"record": data["record"]}).record
+        assert record is not None
+        data = {**data, "record": record, "scene": scene_of(record)}
+    return data
+
+
+class _Asked(Model):
+    record: SceneRecord | None = None
+    generate: Generate | None = None
 
 
 class TargetChoice(Model):
@@ -379,15 +445,53 @@ def _index(label: str | int, labels: tuple[str, ...], field: str, target: str) -
     return labels.index(label)
 
 
-def parse(data: object, names: Names | None = None) -> JobSpec:
-    """Parses JSON data into a spec. Raises InvalidFields, which has every bad field.
+AnyModel = TypeVar("AnyModel", bound=BaseModel)
+
+
+def parsed(model: type[AnyModel], data: object, names: Names | None = None) -> AnyModel:
+    """Parses JSON data. Raises InvalidFields, which has every bad field.
 
     Names of meshes, maps, materials, targets and labels are looked up in `names`, if it is given.
     """
     try:
-        return JobSpec.model_validate(data, context=names)
+        return model.model_validate(data, context=names)
     except ValidationError as error:
-        raise InvalidFields(problems(error)) from error
+        raise InvalidFields(invalid_fields(error.errors(include_url=False), model)) from error
+
+
+def parse(data: object, names: Names | None = None) -> JobSpec:
+    """Parses JSON data into a spec, as `parsed` does."""
+    return parsed(JobSpec, data, names)
+
+
+def check_names(request: BaseModel, names: Names) -> None:
+    """Raises InvalidFields with every name in a valid request that there is not."""
+    parsed(type(request), request.model_dump(mode="json"), names)
+
+
+def names_in(
+    library: Library,
+    may_use: Callable[[str], bool] = lambda _: True,
+    not_read: Mapping[str, str] = MappingProxyType({}),
+) -> Names:
+    """Returns the context with which a request is validated together with the names in it.
+
+    An upload for whose name `may_use` is false is unknown. `not_read` says of meshes that are files of this machine why
+    they could not be added.
+    """
+
+    def check_mesh(name: str) -> None:
+        if name in not_read:
+            raise InvalidRequest("mesh", not_read[name])
+        library.check_mesh(name, may_use)
+
+    # A campaign names the same few things in each of thousands of jobs.
+    return {
+        "mesh": cache(check_mesh),
+        "map": cache(lambda name: library.check_map(name, may_use)),
+        "material": check_preset,
+        "target": cache(check_obtainable),
+    }
 
 
 def digest(spec: BaseModel) -> str:
@@ -395,19 +499,60 @@ def digest(spec: BaseModel) -> str:
     return sha256(spec.model_dump_json().encode()).hexdigest()
 
 
-def problems(error: ValidationError) -> list[InvalidRequest]:
-    """One InvalidRequest for each bad field, with its path in the request, without pydantic's tags of unions."""
-    return named(error.errors(include_url=False))
+def scene_name(spec: Mapping[str, Any], titles: Mapping[str, str] | None = None) -> str:
+    """The meshes of a full spec without their folder, e.g. "grand-piano" or "couch, cube".
+
+    An upload is called by its name in `titles`, or by the beginning of its hash if it has none there.
+    """
+    return ", ".join(_mesh_name(str(thing["mesh"]), titles or {}) for thing in spec["scene"]["objects"])
 
 
-def named(items: Iterable[Mapping[str, Any]]) -> list[InvalidRequest]:
-    """As `problems`, for the items of a pydantic error, which the web framework passes on without the error itself."""
-    return invalid_fields(items, _schema())
+def question_names(spec: Mapping[str, Any]) -> list[str]:
+    """The questions of a full spec: their words, or "A program of 9 functions that asks for a number"."""
+    target = spec["target"]
+    asked = [*([] if target.get("question") is None else [target["question"]]), *target.get("questions", ())]
+    return [question if isinstance(question, str) else _program_name(question) for question in asked]
 
 
-@cache
-def _schema() -> dict[str, Any]:
-    return JobSpec.model_json_schema()
+def job_name(spec: Mapping[str, Any], titles: Mapping[str, str] | None = None) -> str:
+    """The question of a full spec, "4 questions about one image", or `scene_name` if it has none."""
+    questions = question_names(spec)
+    if len(questions) > 1:
+        return f"{len(questions)} questions about one image"
+    return questions[0] if questions else scene_name(spec, titles)
+
+
+def group_words(spec: Mapping[str, Any], group: str) -> str:
+    """The words of pages for a parameter group of a full spec's renderer, e.g. "surface normals".
+
+    A group that the renderer does not declare, or whose renderer is not installed, is called by its name.
+    """
+    renderer = RENDERERS.get(spec["attack"]["renderer"])
+    return renderer.group(group).words if renderer is not None and group in renderer.group_names else group
+
+
+def attack_name(spec: Mapping[str, Any]) -> str:
+    """Renderer, groups and method of a full spec, e.g. "image fgsm", "torch combined fgsm" or "pyrender color zoo".
+
+    "combined" stands for the default groups of a renderer with several of them. The only group of a renderer is not
+    named. If the renderer is not installed, as an extension removed since the job ran, all its attacked groups are
+    named.
+    """
+    attack = spec["attack"]
+    renderer, groups, known = attack["renderer"], tuple(attack["groups"]), RENDERERS.get(attack["renderer"])
+    if known is not None and set(groups) == set(known.default_groups):
+        groups = () if len(groups) == 1 else ("combined",)
+    targeted = " targeted" if spec.get("goal", {}).get("reach") is not None else ""
+    return " ".join([renderer, *(["+".join(groups)] if groups else []), attack["method"]]) + targeted
+
+
+def _mesh_name(mesh: str, titles: Mapping[str, str]) -> str:
+    return titles.get(mesh, mesh[:14]) if mesh.startswith("sha256:") else mesh.rpartition("/")[2]
+
+
+def _program_name(calls: Sequence[Mapping[str, Any]]) -> str:
+    functions = "1 function" if len(calls) == 1 else f"{len(calls)} functions"
+    return f"A program of {functions} that asks for {TYPE_WORDS[FUNCTIONS[calls[-1]['function']].output]}"
 
 
 SENT_IMAGE = "image"

@@ -13,7 +13,7 @@ from services.errors import InvalidRequest
 from services.pipeline.analyse import StoredAnalysis, analyse_stored
 from services.pipeline.execute import execute
 from services.pipeline.prepare import prepare
-from services.pipeline.stored import PERTURBATION
+from services.pipeline.result import PERTURBATION
 from tests.unit.client.command_line import cli
 from tests.unit.jobs.small import LIBRARY, SPHERE, spec
 

@@ -8,8 +8,7 @@ import pytest
 from client.tables import goal_line, outcome_cell, print_answered, print_asked, program_text, successes, verified, warn
 from services.analysis.records import Answer
 from services.analysis.verdict import Verdict
-from services.pipeline.question_record import Asked, Attended, QuestionResult
-from services.pipeline.result import JobWarning, Outcome
+from services.pipeline.result import Asked, Attended, JobWarning, Outcome, QuestionResult
 from services.questions.executor import ANSWERS, KINDS
 from services.questions.program import Node, Program
 from tests.unit.client.scripted_service import SUCCEEDED

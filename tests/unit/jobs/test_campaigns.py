@@ -7,14 +7,14 @@ import pytest
 from sqlalchemy import Engine, update
 
 from services.errors import QuotaExceeded
-from services.jobs.campaigns import CHUNK, Feeder, request_digest
+from services.jobs.campaigns import CHUNK, Feeder
 from services.jobs.database import Database
 from services.jobs.jobs import Key, KeyReused
 from services.jobs.models import Campaign, CampaignState, State
 from services.jobs.record import Record
 from services.pipeline.campaign_spec import CampaignSpec
 from services.pipeline.result import Result, outcome
-from services.pipeline.spec import JobSpec
+from services.pipeline.spec import JobSpec, digest
 from services.pipeline.spec import parse as parse_job
 from tests.unit.jobs.campaign_stage import QUEUED, Stage, spec
 from tests.unit.jobs.records import add, attacks
@@ -219,7 +219,7 @@ def test_a_key_belongs_to_one_request(stage: Stage) -> None:
 
     first = create(spec(1), "k")
     assert create(spec(1), "k") == first
-    found = stage.campaigns.of_key(Key("k", request_digest(spec(1))))
+    found = stage.campaigns.of_key(Key("k", digest(spec(1))))
     assert found is not None
     assert found.id == first
     with pytest.raises(KeyReused):

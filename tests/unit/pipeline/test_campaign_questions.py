@@ -9,7 +9,7 @@ from services.errors import Cancelled, InvalidRequest
 from services.pipeline.campaign_plan import FirstAnswer, choose, jobs, views
 from services.pipeline.campaign_run import run_campaign
 from services.pipeline.campaign_spec import CampaignSpec, parse
-from services.pipeline.check import check_campaign_meshes, check_size, most_jobs, placed, samples
+from services.pipeline.check import check_size, most_jobs, placed, samples
 from services.questions.executor import Facts, answer
 from services.questions.families import FAMILIES
 from services.scenes.clevr.generator import generate
@@ -93,7 +93,6 @@ def test_a_bad_request_is_refused_by_its_field(changes: dict[str, Any], field: s
 
 
 def test_a_sample_is_checked_and_named_by_its_place() -> None:
-    check_campaign_meshes(changed(), lambda name: pytest.fail(f"{name} is no mesh of the request"))
     [(job, places), (_, other)] = samples(changed(questions=3, together=True))
     assert job.target.question is not None  # one of the three: whether the network has all right is no matter here
     assert placed(InvalidRequest("target.question", "d"), places).field == "grids.0.generate"

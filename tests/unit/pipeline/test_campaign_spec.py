@@ -11,7 +11,7 @@ import pytest
 from services.errors import InvalidRequest
 from services.pipeline.campaign_plan import jobs, views
 from services.pipeline.campaign_spec import CampaignSpec, RandomViews, SceneGrid, parse
-from services.pipeline.check import check_campaign_meshes, check_size, most_jobs, placed, samples
+from services.pipeline.check import check_size, most_jobs, placed, samples, uploads_in
 from services.scenes import furniture
 from services.targets import registry
 from services.targets.labels import truth_labels
@@ -154,20 +154,21 @@ def test_a_campaign_over_the_limit_is_refused() -> None:
         check_size(parse(changed(scenes=huge)), 10_000)
 
 
-def test_every_mesh_is_checked_and_named_by_its_place() -> None:
-    def none(name: str) -> None:
-        if "sphere" not in name:
-            raise InvalidRequest("mesh", f"there is no mesh {name!r}")
-
-    with pytest.raises(InvalidRequest, match=r"^grids.0.scenes.meshes.1: there is no mesh 'primitive/cube'"):
-        check_campaign_meshes(parse(SPEC), none)
-    scenes = [{"objects": [{"mesh": "primitive/sphere"}]}, {"objects": [{"mesh": "primitive/cone"}]}]
-    with pytest.raises(InvalidRequest, match=r"^grids.0.scenes.1.objects.0.mesh"):
-        check_campaign_meshes(parse(changed(scenes=scenes)), none)
-    with pytest.raises(InvalidRequest, match=r"^grids.0.scenes.kinds"):
-        check_campaign_meshes(parse(changed(scenes={"kinds": ["chair"]})), none)
-    with pytest.raises(InvalidRequest, match=r"^jobs.1.scene.objects.0.mesh"):
-        check_campaign_meshes(parse({"jobs": [{"scene": scene} for scene in scenes]}), none)
+def test_every_upload_is_named_by_its_first_place() -> None:
+    mesh, other, light = (f"sha256:{digit * 64}" for digit in "123")
+    lights = {"environment": {"map": light}}
+    listed = [{"objects": [{"mesh": "primitive/sphere"}]}, {"objects": [{"mesh": other}], "lights": lights}]
+    grids = changed(scenes={"meshes": ["primitive/cube", mesh], "kinds": ["chair"], "lights": lights})["grids"]
+    spec = parse({"grids": [*grids, *changed(scenes=listed)["grids"]], "jobs": [{"scene": scene} for scene in listed]})
+    assert uploads_in(spec) == {
+        mesh: "grids.0.scenes.meshes.1",
+        light: "grids.0.scenes.lights.environment.map",
+        other: f"grids.{len(grids)}.scenes.1.objects.0.mesh",
+    }
+    assert uploads_in(parse({"jobs": [{"scene": scene} for scene in listed]})) == {
+        light: "jobs.1.scene.lights.environment.map",
+        other: "jobs.1.scene.objects.0.mesh",
+    }
 
 
 @pytest.mark.parametrize(

@@ -5,18 +5,17 @@ import json
 from typing import Any
 
 import pytest
-from pydantic import ValidationError
 
-from services.errors import InvalidRequest
-from services.pipeline.spec import JobSpec, parse, problems
+from services.errors import InvalidFields, InvalidRequest
+from services.pipeline.spec import parse
 
 OBJECT = {"mesh": "primitive/sphere"}
 
 
 def errors(data: Any) -> list[InvalidRequest]:
-    with pytest.raises(ValidationError) as refused:
-        JobSpec.model_validate(data)
-    return problems(refused.value)
+    with pytest.raises(InvalidFields) as refused:
+        parse(data)
+    return list(refused.value.every)
 
 
 def spec(path: str, value: Any) -> dict[str, Any]:

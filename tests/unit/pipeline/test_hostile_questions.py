@@ -8,12 +8,11 @@ import pytest
 
 from services.errors import InvalidRequest
 from services.pipeline.campaign_spec import parse as parse_campaign
-from services.pipeline.questions import asked_questions
+from services.pipeline.questions import check_scene
 from services.pipeline.spec import parse
 from services.scenes.clevr.description import describe
 from services.scenes.clevr.generator import generate
 from services.scenes.clevr.records import SceneRecord
-from services.targets import registry
 
 RECORD = generate(8, 2, objects=(4, 4)).model_dump(mode="json", by_alias=True)
 MANY = 60_000
@@ -111,11 +110,11 @@ def test_a_truth_value_is_asked_for_in_words() -> None:
 def test_an_image_of_other_proportions_has_another_frame(size: tuple[int, int], refused: bool) -> None:
     """Of the 240×180 middle pixels of a scene an object may be outside that is inside its frame."""
     scene = describe(SceneRecord.model_validate(RECORD), size).model_dump(mode="json")
-    asked = [{"function": "scene"}, {"function": "count", "inputs": [0]}]
-    spec = parse({"record": RECORD, "scene": scene, "target": {"name": "iep", "question": asked}})
+    spec = parse({"record": RECORD, "scene": scene})
+    assert spec.record is not None
     if not refused:
-        assert asked_questions(spec, registry.load("iep"))[0].right == "4"
+        check_scene(spec.scene, spec.record)
         return
     with pytest.raises(InvalidRequest) as said:
-        asked_questions(spec, registry.load("iep"))
+        check_scene(spec.scene, spec.record)
     assert said.value.field == "scene.camera.size"

@@ -1,6 +1,6 @@
 import pytest
 
-from services.pipeline.names import attack_name, group_words, job_name, question_names
+from services.pipeline.spec import attack_name, group_words, job_name, question_names
 
 TORCH = ("normals", "illumination", "material")
 PAPERS = ["illumination", "color", "translation", "rotation"]

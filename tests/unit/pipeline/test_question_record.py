@@ -1,4 +1,4 @@
-from services.pipeline.question_record import Attended, first_changed, most_changed
+from services.pipeline.result import Attended, first_changed, most_changed
 
 
 def attention(*changes: tuple[float, float]) -> list[Attended]:

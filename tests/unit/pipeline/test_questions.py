@@ -15,7 +15,7 @@ from services.errors import InvalidRequest
 from services.pipeline.execute import execute
 from services.pipeline.prepare import prepare, prepare_exactly
 from services.pipeline.preview import preview
-from services.pipeline.question_record import ATTENTION
+from services.pipeline.result import ATTENTION
 from services.pipeline.spec import JobSpec, digest, parse
 from services.questions.executor import ANSWERS, KINDS, Facts, answer
 from services.scenes.clevr.description import describe

@@ -4,10 +4,11 @@ import copy
 from typing import Any
 
 import pytest
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
-from services.pipeline import campaign_spec, spec
+from services.errors import InvalidRequest
 from services.pipeline.campaign_spec import CampaignSpec
+from services.pipeline.field_errors import invalid_fields
 from services.pipeline.spec import JobSpec
 from services.scenes.clevr.generator import generate
 from services.scenes.clevr.records import SceneRecord
@@ -40,6 +41,10 @@ def refused(data: dict[str, Any]) -> ValidationError:
     with pytest.raises(ValidationError) as error:
         (CampaignSpec if "grids" in data else JobSpec).model_validate(data)
     return error.value
+
+
+def fields(error: ValidationError, model: type[BaseModel]) -> list[InvalidRequest]:
+    return invalid_fields(error.errors(include_url=False), model)
 
 
 LISTS = (
@@ -81,13 +86,13 @@ def test_a_long_list_within_its_limit_ends_at_the_first_wrong_item(path: str) ->
 
 def test_of_a_short_list_each_wrong_item_is_named() -> None:
     error = refused(put("scene.objects", [{}, {"mesh": "primitive/sphere"}, {}]))
-    assert [one.field for one in spec.problems(error)] == ["scene.objects.0.mesh", "scene.objects.2.mesh"]
+    assert [one.field for one in fields(error, JobSpec)] == ["scene.objects.0.mesh", "scene.objects.2.mesh"]
 
 
 @pytest.mark.parametrize("path", ["scene", "attack", "attack.bounds", "attack.epsilon", "record.relationships"])
 def test_an_object_of_many_fields_is_refused_as_a_whole(path: str) -> None:
     error = refused(put(path, {f"field{k}": None for k in range(MANY)}))
-    [said] = spec.problems(error)
+    [said] = fields(error, JobSpec)
     assert error.error_count() <= 2
     assert (said.field, f"may have {MOST_FIELDS}" in said.detail) == (path, True)
 
@@ -106,8 +111,8 @@ def test_an_object_of_many_fields_is_refused_as_a_whole(path: str) -> None:
     ids=range(7),
 )
 def test_an_answer_is_short_whatever_was_sent(data: dict[str, Any]) -> None:
-    named = (campaign_spec if "grids" in data else spec).named
-    said = named(refused(data).errors(include_url=False))
+    model = CampaignSpec if "grids" in data else JobSpec
+    said = fields(refused(data), model)
     assert said
     assert sum(len(str(one)) for one in said) < 100_000
     assert max(len(str(one)) for one in said) < 3_000
@@ -138,10 +143,10 @@ NUMBERS = {
 @pytest.mark.parametrize(("path", "good", "bad"), [(path, *both) for path, both in NUMBERS.items()], ids=NUMBERS)
 def test_a_text_or_a_boolean_is_no_number(path: str, good: object, bad: list[object]) -> None:
     data = put(path, good)
-    (CampaignSpec if path.startswith("grids") else JobSpec).model_validate(data)
+    model = CampaignSpec if path.startswith("grids") else JobSpec
+    model.model_validate(data)
     for value in bad:
-        errors = spec.named if not path.startswith("grids") else campaign_spec.named
-        said = errors(refused(put(path, value)).errors(include_url=False))
+        said = fields(refused(put(path, value)), model)
         assert [one.field.startswith(path) for one in said] == [True], (value, said)
 
 
