@@ -28,9 +28,8 @@ from services.errors import InvalidRequest
 from services.jobs.campaigns import Counts
 from services.jobs.files import ArtifactStore, Storage
 from services.jobs.models import Job
-from services.jobs.queue import Queue
+from services.jobs.queue import Demand, Device, Queue
 from services.jobs.record import Record
-from services.jobs.scheduler import Demand, Device
 from services.jobs.states import Priority
 from services.jobs.uploads import DeletedAssets
 from services.scenes.library import Library

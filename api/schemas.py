@@ -15,8 +15,7 @@ from services.errors import without_folders
 from services.jobs.states import CampaignState, JobKind, Priority, State, times_of
 from services.pipeline.campaign_plan import ChosenView
 from services.pipeline.campaign_spec import CampaignSpec
-from services.pipeline.preview_record import Cost, JobPlan, Preview
-from services.pipeline.result import JobWarning, Outcome, Result
+from services.pipeline.result import Cost, JobPlan, JobWarning, Outcome, Preview, Result
 from services.pipeline.spec import JobSpec, RerenderingSpec, RerenderingView, TargetChoice
 from services.scenes.description import Model, Scene
 from services.scenes.library import Entry

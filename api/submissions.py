@@ -16,14 +16,12 @@ from services.errors import InvalidRequest
 from services.jobs.jobs import Key
 from services.jobs.models import Artifact, Job, JobKind
 from services.jobs.processes import ChildDied, OutOfMemory
-from services.jobs.queue import Queue
+from services.jobs.queue import Demand, Needs, Queue
 from services.jobs.record import Record
-from services.jobs.scheduler import Demand, Needs
 from services.logs import logger
 from services.pipeline.campaign_spec import CampaignSpec
 from services.pipeline.check import check_size, placed, samples
-from services.pipeline.preview_record import PlannedCost, Preview
-from services.pipeline.result import JobWarning
+from services.pipeline.result import JobWarning, PlannedCost, Preview
 from services.pipeline.spec import SENT_IMAGE, JobSpec, RerenderingSpec, check_names, digest, parse
 from services.settings import Settings
 from services.strict import Names

@@ -8,7 +8,7 @@ from sqlalchemy.orm import Session
 
 from services.jobs.database import connect
 from services.jobs.models import Job, State, listed, listed_outcome
-from services.jobs.scheduler import Needs
+from services.jobs.queue import Needs
 from services.pipeline.spec import parse
 from services.settings import Settings
 

@@ -38,8 +38,8 @@ from benchmarks.postgresql import Server
 from benchmarks.report import RESULTS, save
 from services.jobs.database import connect, migrate
 from services.jobs.models import State
+from services.jobs.queue import Abilities
 from services.jobs.record import Record
-from services.jobs.scheduler import Abilities
 from services.jobs.states import Priority
 from services.pipeline.spec import parse
 from services.settings import Settings

@@ -24,8 +24,8 @@ from services.jobs.files import ArtifactStore, Damaged, Storage, WorkingFiles
 from services.jobs.leases import Attempt, Standing
 from services.jobs.models import Artifact, Job, JobKind
 from services.jobs.processes import connect, give_way, memory_limit, more_than, reply, requests, warm_up
+from services.jobs.queue import Abilities
 from services.jobs.record import Record
-from services.jobs.scheduler import Abilities
 from services.logs import bound, configure, logger
 from services.pipeline.analyse import decode_image, rerender_image
 from services.pipeline.campaign_plan import View

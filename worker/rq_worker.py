@@ -26,9 +26,17 @@ from services.jobs.database import connect as connect_database
 from services.jobs.files import ArtifactStore, Storage
 from services.jobs.leases import Attempt, Standing
 from services.jobs.processes import Child, ChildDied, OutOfMemory
-from services.jobs.queue import ANSWER_SECONDS, HEARTBEAT_SECONDS, Queue, connect, priority_of, queue_name
+from services.jobs.queue import (
+    ANSWER_SECONDS,
+    HEARTBEAT_SECONDS,
+    NOTHING,
+    Abilities,
+    Queue,
+    connect,
+    priority_of,
+    queue_name,
+)
 from services.jobs.record import Record
-from services.jobs.scheduler import NOTHING, Abilities
 from services.jobs.states import Priority
 from services.logs import configure, logger
 from services.settings import Settings

@@ -17,7 +17,7 @@ from services.access.caller import Caller
 from services.attacks.attack import ATTACKS
 from services.errors import InvalidRequest
 from services.jobs.processes import WARM_PROCESSES
-from services.jobs.scheduler import Demand
+from services.jobs.queue import Demand
 from services.jobs.states import Priority
 from services.pipeline.spec import JobSpec, parse
 from services.rendering.declaration import RENDERERS

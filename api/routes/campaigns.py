@@ -28,7 +28,7 @@ from api.schemas import (
 from services.analysis.campaign_table import cases_to_csv, to_csv, to_latex
 from services.jobs.jobs import Key
 from services.jobs.models import Campaign, CampaignState
-from services.jobs.scheduler import Demand
+from services.jobs.queue import Demand
 from services.jobs.states import Priority
 from services.pipeline.campaign_plan import CampaignResult
 from services.pipeline.campaign_spec import CampaignSpec

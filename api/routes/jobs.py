@@ -30,8 +30,7 @@ from services.access.caller import Caller
 from services.jobs.files import delete_with_files
 from services.jobs.job_list import EXAMPLE, LONGEST_QUERY, Term, parse_query
 from services.jobs.models import Job, State
-from services.pipeline.preview_record import PlannedCost
-from services.pipeline.result import CHECKPOINT
+from services.pipeline.result import CHECKPOINT, PlannedCost
 from services.pipeline.spec import JobSpec
 
 QueryText = Annotated[

@@ -24,8 +24,7 @@ if TYPE_CHECKING:
 
     from client.progress import JobLine
     from services.pipeline.execute import Progress
-    from services.pipeline.preview_record import PlannedCost
-    from services.pipeline.result import Result
+    from services.pipeline.result import PlannedCost, Result
     from services.pipeline.spec import JobSpec
     from services.scenes.library import Library
     from services.settings import Settings

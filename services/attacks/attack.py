@@ -59,6 +59,9 @@ class Attack(Model):
     needs_metric: ClassVar[bool] = False
     """Whether `step` reads `evaluation.metric`, and so measures its steps by the change of the image."""
 
+    per_group: ClassVar[tuple[str, ...]] = ()
+    """Fields of the method that need a value for each attacked group, where they have values by group."""
+
     truncation: Annotated[int, Field(ge=1, le=255)] | None = Field(
         None,
         description="U: largest change of an RGB value from the original inside the loop, in 1/255; null: no limit",
@@ -235,14 +238,12 @@ class Attack(Model):
                 raise ValueError("truncation: U is of one view in one light; with `expectation` leave it out")
         for field, groups in (("epsilon", self.epsilon), ("bounds", self.bounds), ("leave_out", self.leave_out)):
             self.check_known(field, groups)
-        if self.needs_epsilon:
+        if self.constraint == "epsilon" or self.restarts > 0:
             self.check_groups("epsilon", self.epsilon)
+        for field in self.per_group:
+            if isinstance(value := getattr(self, field), dict):
+                self.check_groups(field, value)
         return self
-
-    @property
-    def needs_epsilon(self) -> bool:
-        """Whether each attacked group needs an ε."""
-        return self.constraint == "epsilon" or self.restarts > 0
 
     def check_known(self, field: str, given: Iterable[str]) -> None:
         """Raises ValueError unless each group in `given` is attacked."""
@@ -362,17 +363,13 @@ def _scaled(group: Group, share: float) -> float | None:
 class SuggestedRates(Attack):
     """Settings of a method with a learning rate for each attacked group, by default the step its renderer suggests."""
 
+    per_group: ClassVar[tuple[str, ...]] = ("learning_rate",)
     learning_rate: dict[str, Rate] = Field(default_factory=dict)
 
     @classmethod
     def complete(cls, data: dict[str, Any]) -> dict[str, Any]:
         """Fills in the learning rates that the renderer suggests for its groups."""
         return suggested(data, "learning_rate", lambda group: group.suggested_step)
-
-    @model_validator(mode="after")
-    def _a_rate_for_each_group(self) -> Self:
-        self.check_groups("learning_rate", self.learning_rate)
-        return self
 
 
 class SearchWithinLimits(Attack):
@@ -407,6 +404,7 @@ class DifferencesWithinLimits(SearchWithinLimits):
 
     rate_in_scale: ClassVar[float] = 1 / 16
     """The default learning rate, as a share of a group's scale."""
+    per_group: ClassVar[tuple[str, ...]] = ("delta", "learning_rate")
 
     delta: dict[str, Limit] = Field(
         default_factory=dict,
@@ -424,9 +422,3 @@ class DifferencesWithinLimits(SearchWithinLimits):
         """Fills in the limits that the search needs, and both steps."""
         data = in_scale(super().complete(data), "delta", HALF_STEP)
         return in_scale(data, "learning_rate", cls.rate_in_scale)
-
-    @model_validator(mode="after")
-    def _a_value_for_each_group(self) -> Self:
-        self.check_groups("delta", self.delta)
-        self.check_groups("learning_rate", self.learning_rate)
-        return self

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from math import inf
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from services.attacks.attack import Limit, SearchWithinLimits, in_scale, register
 
@@ -31,6 +31,7 @@ class CmaEs(SearchWithinLimits):
 
     method: Literal["cma-es"] = "cma-es"
     needs_gradient: ClassVar[bool] = False
+    per_group: ClassVar[tuple[str, ...]] = ("spread",)
     steps: Annotated[int, Field(ge=1, le=10_000)] = Field(100, description="largest number of generations")
     population: Annotated[int, Field(ge=4, le=4096)] | None = Field(
         None, description="members of a generation; null: 4 + 3·ln(number of coordinates), rounded down"
@@ -45,11 +46,6 @@ class CmaEs(SearchWithinLimits):
     def complete(cls, data: dict[str, Any]) -> dict[str, Any]:
         """Fills in the limits that the search needs, and the spreads."""
         return in_scale(super().complete(data), "spread", SPREAD)
-
-    @model_validator(mode="after")
-    def _a_value_for_each_group(self) -> Self:
-        self.check_groups("spread", self.spread)
-        return self
 
     def init(self, problem: AttackProblem) -> State:
         """The best member has no objective yet."""

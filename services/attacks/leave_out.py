@@ -22,45 +22,44 @@ DRAWS = 8
 
 
 @dataclass(frozen=True)
-class Effects:
-    """Measured effects: the advantage at the start, the effect of each coordinate alone, float64 [total], a mask of
-    those left out, bool [total], and the largest change of the advantage by all of these together.
-    """
-
-    advantage: float
-    alone: Tensor
-    left_out: Tensor
-    together: float
-
-
-@dataclass(frozen=True)
 class LeftOut:
-    """The effects of a problem's coordinates, for its result and its plan."""
+    """Measured effects of a problem's coordinates, and which of them are left out."""
 
-    change: Mapping[str, float]
-    """Change by which each coordinate was moved, by group."""
-    effects: Effects
-    names: tuple[str, ...]
-    """The name of each coordinate."""
     problem: AttackProblem
     """The problem of which they were measured; what its constraint fixes was not measured."""
+    change: Mapping[str, float]
+    """Change by which each coordinate was moved, by group."""
+    advantage: float
+    """The advantage at the start."""
+    alone: Tensor
+    """The effect of each coordinate alone, float64 [total]."""
+    left_out: Tensor
+    """Coordinates that are left out, bool [total]."""
+    together: float
+    """The largest change of the advantage by all of these together."""
+
+    @property
+    def without(self) -> AttackProblem:
+        """The problem without the coordinates that are left out."""
+        return replace(self.problem, limits=self.problem.limits.fixing(self.left_out))
 
     @property
     def settings(self) -> dict[str, object]:
         """Measurements, as JSON: the advantage, the effect of each coordinate, and what is left out."""
+        names, measured = self._names(), self._measured()
         return {
-            "advantage": self.effects.advantage,
-            "effects": {self.names[k]: float(self.effects.alone[k]) for k in self._measured()},
-            "left_out": self._named(self._measured()),
-            "together": self.effects.together,
+            "advantage": self.advantage,
+            "effects": {names[k]: float(self.alone[k]) for k in measured},
+            "left_out": [names[k] for k in measured if self.left_out[k]],
+            "together": self.together,
         }
 
     def in_plan(self, plan: Plan) -> Plan:
         """Returns the plan with a line for each group that was measured."""
-        items = []
+        names, items = self._names(), []
         for group, change in self.change.items():
             measured = self._measured(group)
-            left = self._named(measured)
+            left = [names[k] for k in measured if self.left_out[k]]
             items.append(
                 Item(
                     part=group,
@@ -68,11 +67,16 @@ class LeftOut:
                     kept=len(measured) - len(left),
                     of=len(measured),
                     why=f"each was moved by ±{change:g}; those left out change the answer's advantage of "
-                    f"{self.effects.advantage:.3g} by {self.effects.together:.2g} together: "
+                    f"{self.advantage:.3g} by {self.together:.2g} together: "
                     f"{', '.join(left) or 'none is left out'}",
                 )
             )
         return plan.model_copy(update={"items": (*plan.items, *items)})
+
+    def _names(self) -> list[str]:
+        """The name of each coordinate."""
+        layout, names_of = self.problem.layout, self.problem.renderer.names
+        return [name for group in layout.groups for name in names_of(group) or [group] * layout.shapes[group].numel()]
 
     def _measured(self, group: str | None = None) -> list[int]:
         """The coordinates that were measured, of one group or of all."""
@@ -80,28 +84,11 @@ class LeftOut:
         groups = [layout.group_of(k) for k in range(layout.total)]
         return [k for k, own in enumerate(groups) if own in self.change and group in (None, own) and not fixed[k]]
 
-    def _named(self, coordinates: list[int]) -> list[str]:
-        """The names of those of the coordinates that are left out."""
-        return [self.names[k] for k in coordinates if self.effects.left_out[k]]
-
-
-def leave_out(
-    problem: AttackProblem, change: Mapping[str, float], report: Callable[[int, int], None]
-) -> tuple[AttackProblem, LeftOut]:
-    """Measures the coordinates of the groups in `change`; returns the problem without those that hardly count.
-
-    `report` is told the number of images done, and of all.
-    """
-    effects, layout, renderer = measure(problem, change, report), problem.layout, problem.renderer
-    names = [name for g in layout.groups for name in renderer.names(g) or [g] * layout.shapes[g].numel()]
-    without = replace(problem, limits=problem.limits.fixing(effects.left_out))
-    return without, LeftOut(change, effects, tuple(names), problem)
-
 
 @torch.no_grad()
-def measure(
+def leave_out(
     problem: AttackProblem, change: Mapping[str, float], report: Callable[[int, int], None] = lambda _, __: None
-) -> Effects:
+) -> LeftOut:
     """Measures the coordinates of the groups in `change`, moved by this much in the group's units.
 
     Two images and queries for each coordinate that the constraint does not fix, and DRAWS or more in addition.
@@ -128,9 +115,9 @@ def measure(
         moved = _within(problem, (signs * moves * mask).to(nothing.dtype))
         together = float((_advantages(problem, moved) - start).abs().max())
         if together <= limit:
-            return Effects(float(start), alone, mask, together)
+            return LeftOut(problem, change, float(start), alone, mask, together)
         chosen = chosen[: len(chosen) // 2]
-    return Effects(float(start), alone, torch.zeros(layout.total, dtype=torch.bool), 0.0)
+    return LeftOut(problem, change, float(start), alone, torch.zeros(layout.total, dtype=torch.bool), 0.0)
 
 
 def _within(problem: AttackProblem, deltas: Tensor) -> Tensor:

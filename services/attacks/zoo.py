@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from services.attacks.attack import Attack, Rate, register, suggested
 from services.errors import JobFailure
@@ -46,6 +46,7 @@ class Zoo(Attack):
 
     method: Literal["zoo"] = "zoo"
     needs_gradient: ClassVar[bool] = False
+    per_group: ClassVar[tuple[str, ...]] = ("delta", "learning_rate")
     preset: Literal["paper-classification", "paper-vqa", "measured"] = Field(
         "measured", description="the set of values from which settings left out are taken"
     )
@@ -85,13 +86,6 @@ class Zoo(Attack):
             if "learning_rate" not in data:
                 data = suggested(data, "learning_rate", lambda group: SPEED * (group.suggested_step or RATE / SPEED))
         return PRESETS.get(preset, {}) | data
-
-    @model_validator(mode="after")
-    def _a_value_for_each_group(self) -> Self:
-        for name, value in (("delta", self.delta), ("learning_rate", self.learning_rate)):
-            if isinstance(value, dict):
-                self.check_groups(name, value)
-        return self
 
     def init(self, problem: AttackProblem) -> State:
         """Measures the objective's noise floor and, for `delta: "measured"`, each group's half-step; finds inactive

@@ -23,7 +23,7 @@ from services.jobs.database import Database, now
 from services.jobs.jobs import Key, KeyReused, add_job
 from services.jobs.leases import change_state
 from services.jobs.models import Campaign, CampaignJob, CampaignState, Job, JobKind, State, not_paused, place
-from services.jobs.scheduler import CAMPAIGNS, Demand
+from services.jobs.queue import CAMPAIGNS, Demand
 from services.jobs.uploads import check_held, refer_from_campaign, titles
 from services.logs import logger
 from services.pipeline.campaign_plan import (

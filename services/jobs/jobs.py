@@ -17,7 +17,7 @@ from services.errors import InUse, QuotaExceeded
 from services.jobs.database import Database, now
 from services.jobs.leases import change_state, count, lock, story
 from services.jobs.models import Artifact, Campaign, CampaignJob, Event, IdempotencyKey, Job, JobKind, State, listed
-from services.jobs.scheduler import NO_DEMAND, Demand, targets_of
+from services.jobs.queue import NO_DEMAND, Demand, targets_of
 from services.jobs.uploads import check_held, refer_from_job, titles, uploads_of
 from services.pipeline.result import JobWarning
 from services.pipeline.spec import JobSpec, RerenderingSpec, digest

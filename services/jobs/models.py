@@ -118,7 +118,7 @@ class Job(Base):
 
     priority: Mapped[Priority] = mapped_column(default=Priority.NORMAL, server_default="normal")
     needs: Mapped[str] = mapped_column(Text)
-    """Requirements on the worker that runs it (services.jobs.scheduler.Needs.text)."""
+    """Requirements on the worker that runs it (services.jobs.queue.Needs.text)."""
     waiting: Mapped[str | None] = mapped_column(Text)
     """Reason why none of the live workers takes the queued job; None if one of them can."""
 
@@ -316,7 +316,7 @@ class Campaign(Base):
     failure: Mapped[str | None] = mapped_column(Text)
     """Reason why the campaign cannot go on."""
     demand: Mapped[dict[str, Any] | None]
-    """Demands of its jobs on the queue (services.jobs.scheduler.Demand)."""
+    """Demands of its jobs on the queue (services.jobs.queue.Demand)."""
     view_count: Mapped[int]
     views: Mapped[list[dict[str, Any]] | None] = mapped_column(deferred=True)
     """Every view, with the first answer and why it is not attacked (services.pipeline.campaign_plan.ChosenView)."""

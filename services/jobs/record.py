@@ -7,7 +7,7 @@ from services.jobs.database import Clock, Database
 from services.jobs.job_list import JobLists
 from services.jobs.jobs import Jobs
 from services.jobs.leases import Leases
-from services.jobs.scheduler import Scheduler
+from services.jobs.queue import Scheduler
 from services.jobs.statistics import Figures, TargetRecords
 from services.jobs.uploads import AssetRecords
 

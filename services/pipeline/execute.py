@@ -107,7 +107,8 @@ def execute(
     problem = _problem(prepared, interrupt)
     left_out = None
     if spec.attack.leave_out:
-        problem, left_out = leave_out(problem, spec.attack.leave_out, partial(report, "loading", "leave_out"))
+        left_out = leave_out(problem, spec.attack.leave_out, partial(report, "loading", "leave_out"))
+        problem = left_out.without
 
     def on_row(row: TraceRow) -> None:
         progress(Progress(phase="attacking", step=row.step, steps=steps, row=row))

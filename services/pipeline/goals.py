@@ -16,8 +16,7 @@ from services.analysis.transfer import indices
 from services.analysis.verdict import Verdict, judge
 from services.attacks.goal import ResolvedGoal
 from services.errors import InvalidRequest
-from services.pipeline.preview_record import FirstAnswer
-from services.pipeline.result import Asked, JobWarning, QuestionResult, warnings
+from services.pipeline.result import Asked, FirstAnswer, JobWarning, QuestionResult, warnings
 from services.pipeline.spec import MAX_LABELS, AskedGoal, Goal, with_same
 from services.rendering.protocol import Parameters
 from services.targets.info import TargetInfo

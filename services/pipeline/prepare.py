@@ -25,8 +25,8 @@ from services.errors import InvalidFields, InvalidRequest, named
 from services.pipeline import goals
 from services.pipeline.described import can_carry
 from services.pipeline.goals import Classification, Settled
-from services.pipeline.preview_record import JobPlan
 from services.pipeline.questions import FIELD, QuestionTask, asked_questions, check_scene
+from services.pipeline.result import JobPlan
 from services.pipeline.scene_limits import SceneLimits
 from services.pipeline.spec import AskedGoal, JobSpec, asked_goal
 from services.rendering.color import to_bytes

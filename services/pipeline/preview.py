@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from services.pipeline.prepare import load_targets, plan_of, prepare, prepare_exactly
-from services.pipeline.preview_record import Cost, PlannedCost, Preview
+from services.pipeline.result import Cost, PlannedCost, Preview
 from services.pipeline.spec import JobSpec
 from services.scenes.library import Library
 

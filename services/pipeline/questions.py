@@ -20,8 +20,7 @@ from services.attacks.goal import ResolvedGoal
 from services.errors import InvalidRequest
 from services.pipeline.described import can_carry, described
 from services.pipeline.goals import Classification, Settled
-from services.pipeline.preview_record import FirstAnswer
-from services.pipeline.result import ATTENTION, Asked, Attended, QuestionResult
+from services.pipeline.result import ATTENTION, Asked, Attended, FirstAnswer, QuestionResult
 from services.pipeline.scene_limits import SceneLimits
 from services.pipeline.spec import Call, Goal, JobSpec, asked_goal
 from services.questions.executor import ANSWERS, KINDS, Facts, IllPosed, answer, kind_asked

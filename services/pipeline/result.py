@@ -1,7 +1,8 @@
-"""The record of a finished job: `result.json`, the API's `result`, and the content of the dashboard's job page.
+"""The records of a job. No torch is needed, so that the API can read them.
 
-`JobWarning` is known before a job runs: it may run, but may not say what its sender expects. `QuestionResult` is about
-one question of a job that asks some. `Outcome` is the part of a result that lists and tables of jobs show.
+Before it runs: its warnings (`JobWarning`), its plan as `scene-attack plan` prints it (`JobPlan`), and its preview.
+Once it has ended: `Result`, which is `result.json`, the API's `result`, and the content of the dashboard's job page; it
+has a `QuestionResult` for each question. `Outcome` is the part of a result that lists and tables of jobs show.
 """
 
 import operator
@@ -13,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from services.analysis.records import Analyses, Answer, Attribution, HeldOver, Subset
 from services.analysis.verdict import SUCCESS, Verdict
 from services.attacks.trace import AttackCost, TraceRow
+from services.pipeline.spec import JobSpec
 from services.rendering.physical_change import Change
 from services.rendering.plan import ImageError, Plan
 
@@ -136,6 +138,46 @@ def most_changed(attention: Sequence[Attended]) -> Attended | None:
     """Returns the function with the largest `change`, the first of equal ones; None if no attention changed."""
     most = max(attention, key=lambda attended: attended.change, default=None)
     return most if most is not None and most.change > 0 else None
+
+
+class JobPlan(Plan):
+    """The renderer's plan of a job, with what limits its search, and its questions."""
+
+    questions: tuple[Asked, ...] = Field(
+        (), exclude_if=operator.not_, description="the questions about the image, with their programs"
+    )
+
+
+class FirstAnswer(_Record):
+    """The network's answer to the scene before the attack."""
+
+    question: str | None = Field(description="the question, in words or as its program; null for a network without one")
+    answer: Answer
+
+
+class Preview(_Record):
+    """A request as it would run, and the network's answers to the image of its scene."""
+
+    spec: JobSpec = Field(description="the request with the values of all fields filled in")
+    answers: tuple[FirstAnswer, ...] = Field(description="one answer; of several questions one for each")
+    warnings: tuple[JobWarning, ...] = Field(description="those that a job of this request would have")
+
+
+class Cost(_Record):
+    """What an attack costs, as far as it is known before. Both times were measured once, on this machine."""
+
+    steps: int = Field(description="largest number of steps of an attempt; each has at least one image and one query")
+    queries: int | None = Field(description="limit of network queries, if the request has one")
+    image_seconds: float = Field(description="seconds of one image as the attack draws it, without its gradient")
+    query_seconds: float = Field(description="seconds in which the network answers one image, without its gradient")
+    least_seconds: float = Field(description="seconds of all steps if each had one image, one query and no gradient")
+
+
+class PlannedCost(_Record):
+    """The plan of a request, and its cost."""
+
+    plan: JobPlan
+    cost: Cost
 
 
 class Provenance(_Record):

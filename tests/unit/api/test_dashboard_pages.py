@@ -6,8 +6,8 @@ from httpx import ASGITransport
 
 from services.errors import InvalidRequest
 from services.jobs.models import Artifact, Job
+from services.jobs.queue import Demand, Needs, Waiting
 from services.jobs.record import Record
-from services.jobs.scheduler import Demand, Needs, Waiting
 from services.jobs.states import Priority
 from services.pipeline.result import JobWarning, Result, outcome
 from services.pipeline.spec import JobSpec, parse

@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from services.attacks.leave_out import SHARE, leave_out, measure
+from services.attacks.leave_out import SHARE, leave_out
 from services.attacks.zoo import Zoo
 from tests.unit.attacks.small import FreeRenderer, LinearTarget, attack, problem
 from tests.unit.attacks.test_constraint import Ball
@@ -27,7 +27,7 @@ CHANGE = {"a": 0.01, "b": 0.01}
 def test_effects_are_those_of_the_linear_network() -> None:
     renderer, target = Weak(), LinearTarget()
     case = problem(renderer, target)
-    found = measure(case, CHANGE)
+    found = leave_out(case, CHANGE)
     # the advantage of the first answer over the second is linear as long as the second stays the second
     logits = target.logits(renderer.render({g: v[None] for g, v in renderer.initial().items()}))[0]
     first, second = logits.topk(2).indices.tolist()
@@ -39,7 +39,7 @@ def test_effects_are_those_of_the_linear_network() -> None:
 
 def test_only_what_does_nothing_that_counts_is_left_out() -> None:
     case = problem(Weak(), LinearTarget())
-    found = measure(case, CHANGE)
+    found = leave_out(case, CHANGE)
     left = found.left_out.nonzero()[:, 0].tolist()
     assert {1, 4} <= set(left)
     assert float(found.alone[left].sum()) <= SHARE * found.advantage
@@ -52,13 +52,13 @@ def test_only_what_does_nothing_that_counts_is_left_out() -> None:
 def test_an_attack_never_moves_what_is_left_out() -> None:
     renderer = Weak()
     whole = problem(renderer, LinearTarget(scale=0.1), constraint=Ball(0.5))
-    case, found = leave_out(whole, CHANGE, lambda _, __: None)
-    assert found is not None
+    found = leave_out(whole, CHANGE)
+    case = found.without
     settings = Zoo.model_construct(
         coordinates=9, delta=1e-3, learning_rate={"a": 0.05, "b": 0.01}, weight=0.0, steps=4, method="zoo"
     )
     moved = case.layout.flatten(attack(case, settings).stored) != 0
-    assert not bool((moved & found.effects.left_out).any())
+    assert not bool((moved & found.left_out).any())
     assert not bool(moved[5])  # the inner constraint's
     assert bool(moved.any())
 
@@ -66,7 +66,7 @@ def test_an_attack_never_moves_what_is_left_out() -> None:
 def test_an_advantage_that_is_gone_leaves_nothing_out_that_does_anything() -> None:
     case = problem(FreeRenderer(), LinearTarget())
     goal = type(case.goal)((), int(1 - case.goal.leave[0] % 2))  # to reach: no advantage of its own kind
-    found = measure(replace(case, goal=goal), {"a": 0.01})
+    found = leave_out(replace(case, goal=goal), {"a": 0.01})
     assert not bool(found.left_out[6:].any())  # group "b" was not measured
     assert float(found.alone[found.left_out].sum()) <= SHARE * max(found.advantage, 0.0)
 
@@ -85,7 +85,7 @@ class OneSided(FreeRenderer):
 def test_the_effect_is_that_of_the_larger_of_both_sides(side: int) -> None:
     renderer = OneSided()
     renderer.side = side
-    bounded, free = (measure(problem(one, LinearTarget()), CHANGE).alone for one in (renderer, FreeRenderer()))
+    bounded, free = (leave_out(problem(one, LinearTarget()), CHANGE).alone for one in (renderer, FreeRenderer()))
     assert torch.allclose(bounded, free, rtol=1e-6)
     assert bool((bounded > 0).all())
 
@@ -103,7 +103,7 @@ class Product(FreeRenderer):
 
 
 def test_what_counts_together_is_not_left_out_together() -> None:
-    found = measure(problem(Product(), LinearTarget()), CHANGE)
+    found = leave_out(problem(Product(), LinearTarget()), CHANGE)
     assert found.alone[6:8].tolist() == [0, 0]
     assert not bool(found.left_out[6:8].all())
     assert found.together <= SHARE * found.advantage
@@ -111,8 +111,8 @@ def test_what_counts_together_is_not_left_out_together() -> None:
 
 def test_effects_are_those_of_moves_that_the_constraint_allows() -> None:
     renderer, target = FreeRenderer(), LinearTarget()
-    free = measure(problem(renderer, target), CHANGE).alone
-    held = measure(problem(renderer, target, constraint=Ball(0.002)), CHANGE).alone
+    free = leave_out(problem(renderer, target), CHANGE).alone
+    held = leave_out(problem(renderer, target, constraint=Ball(0.002)), CHANGE).alone
     assert torch.allclose(held[:5], 0.2 * free[:5], rtol=1e-6)
     assert held[5] == 0
     assert torch.allclose(held[6:], free[6:], rtol=1e-6)

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from client.cli import app
 from client.commands_page import commands
-from services.pipeline.preview_record import PlannedCost
+from services.pipeline.result import PlannedCost
 from tests.unit.client.command_line import cli, process
 
 pytestmark = pytest.mark.slow

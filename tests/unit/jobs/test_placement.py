@@ -6,9 +6,8 @@ import pytest
 
 from services.jobs.leases import Attempt
 from services.jobs.models import Job
-from services.jobs.queue import NAME, Queue, connect, reconcile
+from services.jobs.queue import NAME, Abilities, Demand, Needs, Queue, connect, reconcile, targets_of, why_waiting
 from services.jobs.record import Record
-from services.jobs.scheduler import Abilities, Demand, Needs, targets_of, why_waiting
 from services.jobs.states import Priority
 from services.pipeline.spec import parse
 from tests.unit.jobs.conftest import Clock

@@ -11,9 +11,8 @@ from rq.job import Job as Bell
 
 from api.submissions import Submissions
 from services.access.caller import KEYLESS, Quotas
-from services.jobs.queue import HEARTBEAT_SECONDS, Queue, connect, reconcile
+from services.jobs.queue import HEARTBEAT_SECONDS, NO_DEMAND, Abilities, Queue, connect, reconcile
 from services.jobs.record import Record
-from services.jobs.scheduler import NO_DEMAND, Abilities
 from services.jobs.states import Priority
 from tests.unit.jobs.conftest import Clock
 from tests.unit.jobs.records import SPEC, add, start

@@ -14,9 +14,8 @@ from services.errors import QuotaExceeded
 from services.jobs.jobs import Key, KeyReused, QueueFull
 from services.jobs.leases import MAX_ATTEMPTS, Attempt, Standing
 from services.jobs.models import Job, State
-from services.jobs.queue import Queue, connect
+from services.jobs.queue import NO_DEMAND, Queue, connect
 from services.jobs.record import Record
-from services.jobs.scheduler import NO_DEMAND
 from tests.unit.jobs.conftest import Clock
 from tests.unit.jobs.records import OUTCOME, SPEC, add, artifact, attacks, row, start, state
 

@@ -9,8 +9,7 @@ import rq
 from redis import Redis
 from rq import Callback, Retry
 
-from services.jobs.queue import Queue, connect, queue_name
-from services.jobs.scheduler import NOTHING
+from services.jobs.queue import NOTHING, Queue, connect, queue_name
 from services.jobs.states import Priority
 from services.settings import Settings
 from worker.rq_worker import JobWorker, Runner
