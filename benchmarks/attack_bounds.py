@@ -23,6 +23,7 @@ from client.settings import settings_to_run
 from services.accuracy.provenance import backend
 from services.attacks.fgsm import Fgsm
 from services.attacks.goal import ResolvedGoal
+from services.attacks.limits import Limits
 from services.attacks.problem import AttackProblem, Evaluation, differentiate, evaluate, quantize
 from services.rendering.opengl.gbuffer import rasterise
 from services.rendering.plan import GradientError
@@ -173,7 +174,9 @@ def _errors(renderer: TorchRenderer, groups: tuple[str, ...], steps: int) -> Ite
     settings = Fgsm(groups=groups, truncation=None)
     start = renderer.exact().render({group: renderer.initial()[group][None].double() for group in groups})
     first = int(target.logits(quantize(start.float())[1])[0].argmax())
-    problem = AttackProblem.of(renderer, target, ResolvedGoal(leave=(first,), reach=None), settings.groups)
+    problem = AttackProblem.of(
+        renderer, target, ResolvedGoal(leave=(first,), reach=None), Limits.of(renderer, settings.groups)
+    )
     state = settings.init(problem)
     for step in range(steps + 1):
         evaluation = evaluate(problem, state["delta"], step, gradient=True)

@@ -19,6 +19,7 @@ from benchmarks.views import VIEWS
 from client.settings import settings_to_run
 from services.attacks.attack import ATTACKS, Attack
 from services.attacks.goal import ResolvedGoal
+from services.attacks.limits import Limits
 from services.attacks.problem import AttackProblem, at_random_start, differentiate, evaluate
 from services.attacks.run import AttackRun, Verifier, run_attack
 from services.errors import InvalidRequest
@@ -54,13 +55,12 @@ class Case:
         """Our problems, one for each image."""
         return [
             AttackProblem.of(
-                ImageRenderer(from_bytes(image), "a file"),
+                renderer := ImageRenderer(from_bytes(image), "a file"),
                 self.target,
                 ResolvedGoal((int(label),), None),
-                ("image",),
+                Limits.of(renderer, ("image",), epsilon={"image": self.epsilon}),
                 seed=1000 * seed + index,
                 loss=loss,  # type: ignore[arg-type]
-                epsilon={"image": self.epsilon},
             )
             for index, (image, label) in enumerate(zip(self.saved, self.labels, strict=True))
         ]

@@ -60,7 +60,7 @@ def _measure(library: Library, mesh: str, label: str, repeats: int) -> dict[str,
     ready = prepare(spec, library)
     renderer = ready.renderer
     problem = AttackProblem.of(
-        renderer, ready.target, ready.settled.goal, spec.attack.groups, seed=SEED, distance_weight=0.001
+        renderer, ready.target, ready.settled.goal, ready.limits, seed=SEED, distance_weight=0.001
     )
     state = spec.attack.init(problem)
     evaluation = evaluate(problem, state["delta"], 0)

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from services.analysis.images import answer, goal_log_odds
-from services.analysis.records import Attribution, By, Shares, Subset
+from services.analysis.records import Attribution, By, CoordinatesRequest, Shares, Subset
 from services.analysis.subsets import ScoredImage
 from services.attacks.goal import ResolvedGoal
 from services.attacks.problem import generator
@@ -145,23 +145,22 @@ def of_coordinates(
     perturbation: Parameters,
     original: ScoredImage,
     attacked: ScoredImage,
+    request: CoordinatesRequest,
     *,
-    images: int,
     seed: int,
     tick: Tick,
-    by: By = "coordinate",
 ) -> Attribution:
     """The attribution to single coordinates, or to all of a group that belong to an object or a light; a group whose
     coordinates have no names (pixels, texels) is one part.
 
     A coordinate that the perturbation does not move contributes nothing and is left out. Values are exact for up to
-    `MOST_EXACT` parts, if their subsets are no more than `images`, and else the mean over as many random orders as
-    `images` allow, two at least.
+    `MOST_EXACT` parts, if their subsets are no more than `request.images`, and else the mean over as many random
+    orders as these allow, two at least.
     """
-    parts = moved_parts(perturbation, verifier.renderer.exact().names, by)
+    parts = moved_parts(perturbation, verifier.renderer.exact().names, request.by)
     count, full = len(parts), 2 ** len(parts) - 1
-    is_exact = count <= MOST_EXACT and 2**count <= images
-    orders = max(2, images // max(1, count - 1))
+    is_exact = count <= MOST_EXACT and 2**count <= request.images
+    orders = max(2, request.images // max(1, count - 1))
     most = 2**count - 2 if is_exact else orders * (count - 1)
     asked = 0
 

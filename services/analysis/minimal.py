@@ -8,7 +8,7 @@ boundary of the first scanned scale that fools is bisected. What lies between tw
 from collections.abc import Callable, Sequence
 
 from services.analysis.attribution import Tick
-from services.analysis.records import MinimalChange, RayPoint
+from services.analysis.records import MinimalChange, MinimalRequest, RayPoint
 from services.analysis.subsets import ScoredImage, scored
 from services.attacks.goal import ResolvedGoal
 from services.attacks.run import Verifier
@@ -42,9 +42,8 @@ def minimal_change(
     goal: ResolvedGoal,
     perturbation: Parameters,
     original: ScoredImage,
+    request: MinimalRequest,
     *,
-    scans: int,
-    bisections: int,
     physical: Callable[[Parameters], list[PhysicalChange]],
     tick: Tick,
 ) -> MinimalChange:
@@ -55,13 +54,13 @@ def minimal_change(
     points: dict[float, RayPoint] = {}
 
     def fooled(scale: float) -> bool:
-        tick(len(points), scans + bisections)
+        tick(len(points), request.scans + request.bisections)
         image = scored(verifier, scaled(perturbation, scale))
         points[scale] = RayPoint(scale=scale, **image.judged(original, verifier.target.labels, goal))
         return points[scale].fooled
 
-    scale, held = scan_and_bisect(fooled, scans, bisections)
-    scan = [points[k / scans] for k in range(1, scans + 1)]
+    scale, held = scan_and_bisect(fooled, request.scans, request.bisections)
+    scan = [points[k / request.scans] for k in range(1, request.scans + 1)]
     return MinimalChange(
         smallest=None if scale is None else points[scale],
         holds_at=held,

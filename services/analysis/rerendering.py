@@ -99,7 +99,7 @@ def said(logits: Tensor, labels: Sequence[str]) -> Said:
     return Said(label=labels[index], confidence=float(probability(logits, index)))
 
 
-def interpret(verifier: Verifier, image: Tensor, *, steps: int, tick: Callable[[int, int], None]) -> Interpretation:
+def interpret(verifier: Verifier, image: Tensor, steps: int, tick: Tick) -> Interpretation:
     """Fits the parameters of the verifier's renderer to an image, uint8 [H, W, 3], with each rate and optimiser.
 
     The renderer must be differentiable. `tick` is called before each image that is rendered.
@@ -107,8 +107,9 @@ def interpret(verifier: Verifier, image: Tensor, *, steps: int, tick: Callable[[
     labels, each = verifier.target.labels, steps + 2
     fits: list[Explanation] = []
     for number, (optimiser, rate) in enumerate(product(OPTIMISERS, RATES)):
+        asked = RerenderingRequest(optimiser=optimiser, rate=rate, steps=steps)
         begun, total = number * each, len(OPTIMISERS) * len(RATES) * each
-        best, rendered = fitted(verifier, image, optimiser, rate, steps, partial(_tick_from, tick, begun, total))
+        best, rendered = fitted(verifier, image, asked, partial(_tick_from, tick, begun, total))
         fits.append(
             Explanation(
                 optimiser=optimiser,
@@ -128,21 +129,13 @@ def _tick_from(tick: Callable[[int, int], None], begun: int, total: int, step: i
     tick(begun + step, total)
 
 
-def rerender(
-    verifier: Verifier,
-    image: Tensor,
-    *,
-    optimiser: Optimiser,
-    rate: float,
-    steps: int,
-    tick: Callable[[int, int], None],
-) -> tuple[Rerendering, Tensor]:
+def rerender(verifier: Verifier, image: Tensor, request: RerenderingRequest, tick: Tick) -> tuple[Rerendering, Tensor]:
     """Fits once; returns the answers to the image and to the rendering of the fit, and that image, uint8 [H, W, 3]."""
     labels = verifier.target.labels
-    best, rendered = fitted(verifier, image, optimiser, rate, steps, lambda step: tick(step, steps + 2))
+    best, rendered = fitted(verifier, image, request, lambda step: tick(step, request.steps + 2))
     record = Rerendering(
-        optimiser=optimiser,
-        rate=rate,
+        optimiser=request.optimiser,
+        rate=request.rate,
         losses=best.losses,
         before=said(verifier.logits(image), labels),
         after=said(verifier.logits(rendered), labels),
@@ -152,11 +145,11 @@ def rerender(
 
 
 def fitted(
-    verifier: Verifier, image: Tensor, optimiser: Optimiser, rate: float, steps: int, tick: Callable[[int], None]
+    verifier: Verifier, image: Tensor, asked: RerenderingRequest, tick: Callable[[int], None]
 ) -> tuple[Fit, Tensor]:
     """A fit to an image, uint8 [H, W, 3], and its exact rendering, uint8 [H, W, 3]."""
-    best = fit(verifier.renderer, from_bytes(image), optimiser, rate, steps, tick)
-    tick(steps + 1)
+    best = fit(verifier.renderer, from_bytes(image), asked.optimiser, asked.rate, asked.steps, tick)
+    tick(asked.steps + 1)
     return best, verifier.image(best.perturbation)
 
 
@@ -183,7 +176,7 @@ def attack_through(
         def count(done: int, before: int = step * each) -> None:
             tick(before + done, (steps + 1) * each)
 
-        _, rendered = fitted(verifier, saved, fit.optimiser, fit.rate, fit.steps, count)
+        _, rendered = fitted(verifier, saved, fit, count)
         shown = from_bytes(rendered)[None].requires_grad_()
         logits = verifier.target.logits(shown)
         verifier.counts.queries += 1

@@ -5,7 +5,7 @@ of the renderer's physical bounds, the request's `bounds` and ε. `Limits.clamp`
 which limit it was.
 """
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import log
 from typing import Protocol
@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from services.errors import InvalidRequest
-from services.rendering.protocol import BOUND_SLACK, Parameters
+from services.rendering.protocol import BOUND_SLACK, Parameters, Renderer
 
 MAX_TRIES = 8
 """Largest number of scales that backtracking tries; two are usual."""
@@ -129,21 +129,38 @@ class Limits:
     @classmethod
     def of(
         cls,
-        initial: Mapping[str, Tensor],
-        physical: Mapping[str, tuple[Tensor, Tensor]],
+        renderer: Renderer,
+        groups: Sequence[str],
         *,
         bounds: Mapping[str, tuple[float, float]] | None = None,
         epsilon: Mapping[str, float] | None = None,
         constraint: Constraint | None = None,
         **others: float | None,
     ) -> "Limits":
-        """The limits of the attacked groups, whose values are `initial`; `physical` and the rest as for `box`."""
+        """The limits of the attacked groups of a renderer: its bounds of their values, the request's `bounds`, and
+        `epsilon`, the largest change, each by group.
+
+        Raises InvalidRequest("attack.bounds.<group>") if the request's bounds exclude a value of the scene itself.
+        """
+        start, physical, bounds, epsilon = renderer.initial(), renderer.bounds(), bounds or {}, epsilon or {}
+        initial = {group: start[group] for group in groups}
         layout = Layout.of(initial)
-        low, high = box(initial, physical, bounds or {}, epsilon or {})
+        lows, highs = [], []
+        for group, value in initial.items():
+            low, high = (bound.to(value.dtype) - value for bound in physical[group])
+            if group in bounds:
+                _check_start(group, value, bounds[group])
+                low, high = low.clamp_min(bounds[group][0] - value), high.clamp_max(bounds[group][1] - value)
+                # rounding, and the slack of the check, must not exclude the start itself
+                low, high = low.clamp_max(0.0), high.clamp_min(0.0)
+            if group in epsilon:
+                low, high = low.clamp_min(-epsilon[group]), high.clamp_max(epsilon[group])
+            lows.append(low.flatten())
+            highs.append(high.flatten())
+        low, high, free = torch.cat(lows), torch.cat(highs), layout.zeros(torch.bool)
+        limits = cls(layout, low, high, free, epsilon, constraint=constraint, **others)
         masks = {} if constraint is None else constraint.fixed
-        free = {group: torch.zeros(shape, dtype=torch.bool) for group, shape in layout.shapes.items()}
-        limits = cls(layout, low, high, layout.zeros(torch.bool), epsilon or {}, constraint=constraint, **others)
-        return limits.fixing(layout.flatten(free | dict(masks)))
+        return limits.fixing(layout.flatten(layout.unflatten(free) | dict(masks)))
 
     def fixing(self, coordinates: Tensor) -> "Limits":
         """The same limits with further coordinates fixed, a mask, bool [total]."""
@@ -195,33 +212,6 @@ class Limits:
             p = float(change.double().square().sum(-1).mean().sqrt())
             parts.append(p / ((1 - P_MARGIN) * self.perceptibility))
         return max(parts)
-
-
-def box(
-    initial: Mapping[str, Tensor],
-    physical: Mapping[str, tuple[Tensor, Tensor]],
-    bounds: Mapping[str, tuple[float, float]],
-    epsilon: Mapping[str, float],
-) -> tuple[Tensor, Tensor]:
-    """Smallest and largest change of each coordinate, [total] each; infinite where there is no limit.
-
-    `initial` are the attacked groups' values, `physical` the renderer's bounds of the values, `bounds` the request's,
-    and `epsilon` the largest change, each by group. Raises InvalidRequest("attack.bounds.<group>") if the request's
-    bounds exclude a value of `initial`.
-    """
-    lows, highs = [], []
-    for group, value in initial.items():
-        low, high = (bound.to(value.dtype) - value for bound in physical[group])
-        if group in bounds:
-            _check_start(group, value, bounds[group])
-            low, high = low.clamp_min(bounds[group][0] - value), high.clamp_max(bounds[group][1] - value)
-            # rounding, and the slack of the check, must not exclude the start itself
-            low, high = low.clamp_max(0.0), high.clamp_min(0.0)
-        if group in epsilon:
-            low, high = low.clamp_min(-epsilon[group]), high.clamp_max(epsilon[group])
-        lows.append(low.flatten())
-        highs.append(high.flatten())
-    return torch.cat(lows), torch.cat(highs)
 
 
 def _check_start(group: str, value: Tensor, bounds: tuple[float, float]) -> None:

@@ -9,7 +9,7 @@ scores that are no numbers have a largest one too.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from math import nan, radians
 from typing import Any, Protocol
@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from services.attacks.goal import ResolvedGoal, loss
-from services.attacks.limits import Constraint, Layout, Limits, pulled_back
+from services.attacks.limits import Layout, Limits, pulled_back
 from services.attacks.request import Expectation, Loss
 from services.errors import JobFailure, named
 from services.process import finite
@@ -144,38 +144,9 @@ class AttackProblem:
     """Called before every rendering; raises Cancelled to stop."""
 
     @classmethod
-    def of(
-        cls,
-        renderer: Renderer,
-        target: Target,
-        goal: ResolvedGoal,
-        groups: tuple[str, ...],
-        *,
-        bounds: Mapping[str, tuple[float, float]] | None = None,
-        epsilon: Mapping[str, float] | None = None,
-        truncation: float | None = None,
-        backtrack: float | None = None,
-        perceptibility: float | None = None,
-        constraint: Constraint | None = None,
-        **others: Any,
-    ) -> AttackProblem:
-        """The problem of attacking `groups` of a renderer. Renders the original, which counts.
-
-        `others` are fields, and the rest is as for `Limits.of`, whose errors it raises.
-        """
-        values = renderer.initial()
-        values = {group: values[group] for group in groups}
-        limits = Limits.of(
-            values,
-            renderer.bounds(),
-            bounds=bounds,
-            epsilon=epsilon,
-            constraint=constraint,
-            truncation=truncation,
-            backtrack=backtrack,
-            perceptibility=perceptibility,
-        )
-        initial = limits.layout.flatten(values)
+    def of(cls, renderer: Renderer, target: Target, goal: ResolvedGoal, limits: Limits, **others: Any) -> AttackProblem:
+        """The problem of attacking the groups of `limits`; `others` are fields. Renders the original, which counts."""
+        initial = limits.layout.flatten(renderer.initial())
         nothing = torch.zeros_like(initial)
         problem = cls(renderer, target, goal, limits, initial, torch.zeros(0), nothing, **others)
         with torch.no_grad():

@@ -5,6 +5,7 @@ The re-rendering defence is also made of an image alone, whose scene is known.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import torch
@@ -63,75 +64,43 @@ class Subject:
 def analyse(subject: Subject, request: AnalysisRequest, library: Library, report: Report) -> Analyses:
     """Makes the analyses. Raises JobFailure, and what `report` raises, which may be Cancelled."""
     prepared, perturbation = subject.prepared, subject.perturbation
+    original, attacked = subject.original, subject.attacked
     verifier, goal = prepared.verifier, prepared.settled.goal
     analyses = Analyses()
     if request.coordinates is not None:
+        tick, seed = partial(report, "coordinates"), prepared.spec.seed
         analyses.coordinates = of_coordinates(
-            verifier,
-            goal,
-            perturbation,
-            subject.original,
-            subject.attacked,
-            images=request.coordinates.images,
-            by=request.coordinates.by,
-            seed=prepared.spec.seed,
-            tick=_named(report, "coordinates"),
+            verifier, goal, perturbation, original, attacked, request.coordinates, seed=seed, tick=tick
         )
     if request.minimal is not None:
+        words = partial(physical_changes, prepared.scene, prepared.renderer)
         analyses.minimal = minimal_change(
-            verifier,
-            goal,
-            perturbation,
-            subject.original,
-            scans=request.minimal.scans,
-            bisections=request.minimal.bisections,
-            physical=lambda moved: physical_changes(prepared.scene, prepared.renderer, moved),
-            tick=_named(report, "minimal"),
+            verifier, goal, perturbation, original, request.minimal, physical=words, tick=partial(report, "minimal")
         )
     if request.transfer is not None:
-        tick = _named(report, "transfer")
         asked = [*request.transfer.targets, *request.transfer.renderers]
         analyses.transfer = []
         for number, name in enumerate(asked):
-            tick(number, len(asked))
+            report("transfer", number, len(asked))
             is_target = number < len(request.transfer.targets)
             analyses.transfer.append(_to_target(subject, name) if is_target else _to_renderer(subject, name, library))
     if any((request.interpretation, request.rerendering, request.adaptive)):
-        fitted = _fitting(prepared.scene, prepared.spec.tolerance, prepared.target)
+        fitting = _fitting(prepared.scene, prepared.spec.tolerance, prepared.target)
         if request.interpretation is not None:
-            steps = request.interpretation.steps
-            analyses.interpretation = interpret(
-                fitted, subject.attacked.saved, steps=steps, tick=_named(report, "interpretation")
-            )
+            tick, steps = partial(report, "interpretation"), request.interpretation.steps
+            analyses.interpretation = interpret(fitting, attacked.saved, steps, tick)
         if request.rerendering is not None:
-            tick = _named(report, "rerendering")
-            analyses.rerendering, _ = rerendered(fitted, subject.attacked.saved, request.rerendering, tick)
+            tick = partial(report, "rerendering")
+            analyses.rerendering, _ = rerender(fitting, attacked.saved, request.rerendering, tick)
         if request.adaptive is not None:
-            analyses.adaptive = attack_through(
-                fitted,
-                goal,
-                subject.original.saved,
-                fit=request.adaptive.fit,
-                steps=request.adaptive.steps,
-                tick=_named(report, "adaptive"),
-            )
+            tick, fit, steps = partial(report, "adaptive"), request.adaptive.fit, request.adaptive.steps
+            analyses.adaptive = attack_through(fitting, goal, original.saved, fit=fit, steps=steps, tick=tick)
     return analyses
 
 
 def _fitting(scene: ResolvedScene, tolerance: Tolerance, target: Target) -> Verifier:
     """The torch renderer of a scene, for fits of all its groups, and the network that answers for them."""
     return Verifier(build(scene, TORCH.name, tolerance=tolerance), target)
-
-
-def rerendered(
-    verifier: Verifier, image: Tensor, request: RerenderingRequest, tick: Tick
-) -> tuple[Rerendering, Tensor]:
-    """Applies the re-rendering defence to an image, uint8 [H, W, 3]; returns the record and the rendering."""
-    return rerender(verifier, image, optimiser=request.optimiser, rate=request.rate, steps=request.steps, tick=tick)
-
-
-def _named(report: Report, name: str) -> Tick:
-    return lambda done, of: report(name, done, of)
 
 
 def _to_target(subject: Subject, name: str) -> Transferred:
@@ -203,11 +172,13 @@ def rerender_image(
     Returns the record and the rendering, uint8 [H, W, 3]. Raises InvalidRequest("image") for an image that is not of
     the camera's size, and as `resolve` and the target's registry do.
     """
-    _check_size((image.shape[0], image.shape[1]), spec.scene.camera.size)
+    size, due = (image.shape[0], image.shape[1]), spec.scene.camera.size
+    if size != due:
+        raise InvalidRequest("image", other_size(size, due))
     name = spec.target.name
     asked = asked_goal(spec.goal, registry.card(name), registry.labels(name))
     target = task_of(spec, registry.load(name), asked).target
-    return rerendered(_fitting(resolved_scene(spec, library), spec.tolerance, target), image, request, tick)
+    return rerender(_fitting(resolved_scene(spec, library), spec.tolerance, target), image, request, tick)
 
 
 def decode_image(data: bytes, size: tuple[int, int]) -> Tensor:
@@ -216,8 +187,3 @@ def decode_image(data: bytes, size: tuple[int, int]) -> Tensor:
     Raises InvalidRequest("image"). The size is checked before the pixels are read.
     """
     return torch.from_numpy(reader().read_image(data, size).copy())
-
-
-def _check_size(actual: tuple[int, int], size: tuple[int, int]) -> None:
-    if actual != tuple(size):
-        raise InvalidRequest("image", other_size(actual, size))

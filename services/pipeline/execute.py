@@ -127,19 +127,11 @@ def execute(
 
 def _problem(prepared: Prepared, interrupt: Callable[[], None]) -> AttackProblem:
     attack = prepared.spec.attack
-    limit = None if attack.truncation is None else attack.truncation / 255
-    backtracks = attack.constraint == "backtrack"
     return AttackProblem.of(
         prepared.renderer,
         prepared.target,
         prepared.settled.goal,
-        attack.groups,
-        bounds=attack.bounds,
-        epsilon=attack.epsilon,
-        truncation=None if backtracks else limit,
-        backtrack=limit if backtracks else None,
-        perceptibility=attack.perceptibility,
-        constraint=prepared.constraint,
+        prepared.limits,
         seed=prepared.spec.seed,
         loss=attack.objective,
         distance_weight=attack.distance_weight,

@@ -17,7 +17,7 @@ from torch import Tensor
 from services.analysis.subsets import ScoredImage
 from services.attacks.attack import ATTACKS, Attack
 from services.attacks.goal import ResolvedGoal, check_loss
-from services.attacks.limits import box
+from services.attacks.limits import Limits
 from services.attacks.problem import Surrogate
 from services.attacks.request import VIEWS, Expectation
 from services.attacks.run import Verifier
@@ -66,8 +66,10 @@ class Prepared:
     """Questions to the network, and the judgement of its answers."""
     settled: Settled
     """The goal, the right labels, and the warnings."""
+    limits: Limits
+    """The limits of the search."""
     constraint: SceneLimits | None
-    """The limits of the search beside those of the request."""
+    """Those of them that keep the questions' answers as they are."""
 
     def plan(self) -> Plan:
         """The renderer's plan, with the cost of averaging and what limits the search."""
@@ -143,9 +145,8 @@ def _prepare(spec: JobSpec, library: Library, tolerance: Tolerance) -> Prepared:
         if renderer.names(group) is None:
             detail = "it has too many coordinates to measure each; leave this out"
             raise InvalidRequest(f"attack.leave_out.{group}", detail)
-    start = renderer.initial()
-    attacked = {group: start[group] for group in spec.attack.groups}
-    box(attacked, renderer.bounds(), spec.attack.bounds, spec.attack.epsilon)
+    constraint = task.constraint(renderer.name, {group: renderer.initial()[group] for group in spec.attack.groups})
+    limits = _limits(spec.attack, renderer, constraint)
     verifier = Verifier(renderer, target)
     exact = _exact_image(spec, scene, verifier)
     saved = to_bytes(exact).cpu()
@@ -162,7 +163,23 @@ def _prepare(spec: JobSpec, library: Library, tolerance: Tolerance) -> Prepared:
         original=original,
         task=task,
         settled=settled,
-        constraint=task.constraint(renderer.name, attacked),
+        limits=limits,
+        constraint=constraint,
+    )
+
+
+def _limits(attack: Attack, renderer: Renderer, constraint: SceneLimits | None) -> Limits:
+    limit = None if attack.truncation is None else attack.truncation / 255
+    backtracks = attack.constraint == "backtrack"
+    return Limits.of(
+        renderer,
+        attack.groups,
+        bounds=attack.bounds,
+        epsilon=attack.epsilon,
+        constraint=constraint,
+        truncation=None if backtracks else limit,
+        backtrack=limit if backtracks else None,
+        perceptibility=attack.perceptibility,
     )
 
 

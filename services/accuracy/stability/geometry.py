@@ -16,6 +16,7 @@ from services.accuracy.stability.references import cast, expected
 from services.accuracy.stability.torch_shading import Shading
 from services.attacks.fgsm import Fgsm
 from services.attacks.goal import ResolvedGoal
+from services.attacks.limits import Limits
 from services.attacks.problem import AttackProblem, evaluate
 from services.rendering.factory import build
 from services.rendering.opengl.gbuffer import FACTOR, GBuffer, rasterise
@@ -293,7 +294,9 @@ def _attacked(size: tuple[int, int], renderer: str) -> Measured:
     network = linear_network()
     groups = drawn.plan.groups
     label = int(network.logits(drawn.render({g: drawn.initial()[g][None] for g in groups}).float()).argmax())
-    problem = AttackProblem.of(drawn, network, ResolvedGoal((label,), None), groups, truncation=18 / 255)
+    problem = AttackProblem.of(
+        drawn, network, ResolvedGoal((label,), None), Limits.of(drawn, groups, truncation=18 / 255)
+    )
     far = dict.fromkeys(groups, 1.0)
     settings = Fgsm.model_validate({"renderer": renderer, "learning_rate": far, "steps": 5})
     run = attacked(problem, settings)

@@ -19,6 +19,7 @@ from services.accuracy.stability.references import displayed
 from services.accuracy.stability.torch_shading import Shading
 from services.attacks.fgsm import Fgsm
 from services.attacks.goal import ResolvedGoal
+from services.attacks.limits import Limits
 from services.attacks.problem import AttackProblem, generator
 from services.attacks.request import LARGEST_SEED, Seed
 from services.errors import InvalidRequest
@@ -80,7 +81,7 @@ def _perturbed(network: Classifier) -> Tensor:
     image = torch.rand(SIDE, SIDE, 3, generator=torch.Generator().manual_seed(5))
     renderer = ImageRenderer(image, "random numbers")
     label = int(network.logits(image[None]).argmax())
-    problem = AttackProblem.of(renderer, network, ResolvedGoal((label,), None), ("image",))
+    problem = AttackProblem.of(renderer, network, ResolvedGoal((label,), None), Limits.of(renderer, ("image",)))
     settings = Fgsm(renderer="image", learning_rate={"image": 1e-4}, truncation=None, steps=5)
     return attacked(problem, settings).stored["image"]
 

@@ -13,6 +13,7 @@ from torch import Tensor, nn
 from services.accuracy.stability.case import need
 from services.attacks.attack import Attack
 from services.attacks.goal import ResolvedGoal
+from services.attacks.limits import Limits
 from services.attacks.problem import AttackProblem
 from services.attacks.run import AttackRun, Verifier, run_attack
 from services.rendering.image_renderer import ImageRenderer
@@ -110,11 +111,16 @@ def pixels() -> ImageRenderer:
 
 
 def linear_problem(
-    renderer: Renderer, groups: tuple[str, ...] | None = None, lead: float = NEVER, **more: Any
+    renderer: Renderer,
+    groups: tuple[str, ...] | None = None,
+    lead: float = NEVER,
+    truncation: float | None = None,
+    distance_weight: float = 0.0,
 ) -> AttackProblem:
     """The problem of leaving the first of the network's two labels. `groups` None: those that it is compiled for."""
     network = linear_network(classes=2, lead=lead)
-    return AttackProblem.of(renderer, network, ResolvedGoal((0,), None), groups or renderer.plan.groups, **more)
+    limits = Limits.of(renderer, groups or renderer.plan.groups, truncation=truncation)
+    return AttackProblem.of(renderer, network, ResolvedGoal((0,), None), limits, distance_weight=distance_weight)
 
 
 def attacked(problem: AttackProblem, attack: Attack, delta: Tensor | None = None) -> AttackRun:

@@ -13,6 +13,7 @@ from services.analysis.verdict import wilson
 from services.attacks.attack import Attack
 from services.attacks.fgsm import Fgsm
 from services.attacks.goal import ResolvedGoal
+from services.attacks.limits import Limits
 from services.attacks.problem import AttackProblem
 from services.attacks.run import AttackRun, Verifier, run_attack
 from services.attacks.zoo import Zoo
@@ -133,8 +134,11 @@ def attack(case: Case) -> AttackRow:
         renderer,
         target,
         goal,
-        settings.groups,
-        truncation=None if settings.truncation is None else settings.truncation / 255,
+        Limits.of(
+            renderer,
+            settings.groups,
+            truncation=None if settings.truncation is None else settings.truncation / 255,
+        ),
         distance_weight=settings.distance_weight,
         counts=verifier.counts,
     )

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from services.analysis.attribution import moved_parts, of_coordinates, of_subsets
-from services.analysis.records import Attribution
+from services.analysis.records import Attribution, CoordinatesRequest
 from services.analysis.subsets import scored, subsets
 from services.attacks.goal import ResolvedGoal
 from services.attacks.run import Verifier
@@ -67,8 +67,9 @@ def both(target: Built, images: int = 4096, seed: int = 0) -> tuple[Attribution,
     rows = subsets(verifier, goal, PERTURBATION, *ends)
     queries = verifier.counts.queries
     ticks: list[tuple[int, int]] = []
+    request = CoordinatesRequest(images=images)
     coordinates = of_coordinates(
-        verifier, goal, PERTURBATION, *ends, images=images, seed=seed, tick=lambda *tick: ticks.append(tick)
+        verifier, goal, PERTURBATION, *ends, request, seed=seed, tick=lambda *tick: ticks.append(tick)
     )
     assert coordinates.images == len(ticks) == verifier.counts.queries - queries
     assert [done for done, _ in ticks] == list(range(len(ticks)))
@@ -93,7 +94,9 @@ def test_by_object_a_part_is_what_an_object_has_of_a_group() -> None:
     verifier, goal = Verifier(Pixels(), Built(ALONE, {(0, 6): 0.1, (3, 7): -0.2})), ResolvedGoal((0,), None)
     ends = scored(verifier, {}), scored(verifier, PERTURBATION)
     groups = of_subsets(subsets(verifier, goal, PERTURBATION, *ends))
-    found = of_coordinates(verifier, goal, PERTURBATION, *ends, images=64, seed=0, tick=lambda *_: None, by="object")
+    found = of_coordinates(
+        verifier, goal, PERTURBATION, *ends, CoordinatesRequest(by="object"), seed=0, tick=lambda *_: None
+    )
     assert found.parts == ["object 0 a", "b"]  # all coordinates of "a" are one object's
     assert found.log_odds == groups.log_odds
     two = torch.zeros(2, 3)
@@ -166,6 +169,6 @@ def test_what_does_not_move_is_no_part() -> None:
     case = problem()
     verifier = Verifier(case.renderer, case.target)
     end = scored(verifier, {})
-    found = of_coordinates(verifier, case.goal, still, end, end, images=10, seed=0, tick=lambda *_: None)
+    found = of_coordinates(verifier, case.goal, still, end, end, CoordinatesRequest(), seed=0, tick=lambda *_: None)
     assert found.parts == found.log_odds.shapley == []
     assert found.log_odds.effect == 0

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from services.analysis.minimal import minimal_change, scan_and_bisect
-from services.analysis.records import MinimalChange
+from services.analysis.records import MinimalChange, MinimalRequest
 from services.analysis.subsets import scored
 from services.attacks.goal import ResolvedGoal
 from services.attacks.run import Verifier
@@ -63,8 +63,7 @@ def ray(target: Built, perturbation: Parameters, tick: Callable[[int, int], None
         ResolvedGoal((0,), None),
         perturbation,
         scored(verifier, {}),
-        scans=10,
-        bisections=6,
+        MinimalRequest(scans=10, bisections=6),
         physical=no_words,
         tick=tick,
     )

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import pytest
 import torch
@@ -11,6 +11,7 @@ from torch import Tensor
 
 from services.attacks.attack import Attack, State
 from services.attacks.goal import ResolvedGoal
+from services.attacks.limits import Limits
 from services.attacks.problem import AttackProblem, Evaluation, differentiate, evaluate
 from services.attacks.run import AttackRun, Verifier, run_attack
 from services.errors import Cancelled
@@ -117,14 +118,19 @@ class LinearTarget:
         return self.scale * (images.to(self.dtype).flatten(1) - 0.5) @ self.weights.to(self.dtype)
 
 
+LIMITS = ("bounds", "epsilon", "constraint", "truncation", "backtrack", "perceptibility")
+
+
 def problem(
-    renderer: LinearRenderer | None = None, target: LinearTarget | None = None, **settings: object
+    renderer: LinearRenderer | None = None, target: LinearTarget | None = None, **settings: Any
 ) -> AttackProblem:
     """The linear problem of leaving the first answer, with all groups attacked."""
     renderer, target = renderer or LinearRenderer(), target or LinearTarget()
     start = {g: v[None] for g, v in renderer.initial().items()}
     first = int(target.logits(renderer.render(start)).argmax())
-    return AttackProblem.of(renderer, target, ResolvedGoal((first,), None), renderer.groups, **settings)  # type: ignore[arg-type]
+    given = {name: settings.pop(name) for name in LIMITS if name in settings}
+    limits = Limits.of(renderer, renderer.groups, **given)
+    return AttackProblem.of(renderer, target, ResolvedGoal((first,), None), limits, **settings)
 
 
 def attack(case: AttackProblem, settings: Attack, checkpoint: Path | None = None, **given: object) -> AttackRun:

@@ -1,5 +1,6 @@
 """The box of a perturbation, random starts in it, and backtracking to U."""
 
+from dataclasses import dataclass
 from typing import Any
 
 import pytest
@@ -11,7 +12,6 @@ from services.attacks.limits import (
     P_MARGIN,
     SLACK,
     Limits,
-    box,
     pulled_back,
 )
 from services.attacks.problem import random_start
@@ -23,29 +23,48 @@ FREE = (torch.tensor(-torch.inf), torch.tensor(torch.inf))
 PHYSICAL = {"a": (torch.tensor(0.0), torch.tensor(1.0)), "b": FREE}
 
 
+@dataclass
+class Values:
+    """The values of a renderer and their bounds."""
+
+    values: dict[str, torch.Tensor]
+    physical: dict[str, tuple[torch.Tensor, torch.Tensor]]
+
+    def initial(self) -> dict[str, torch.Tensor]:
+        return self.values
+
+    def bounds(self) -> dict[str, tuple[torch.Tensor, torch.Tensor]]:
+        return self.physical
+
+
+def limits(**given: Any) -> Limits:
+    return Limits.of(Values(INITIAL, PHYSICAL), ["a", "b"], **given)  # type: ignore[arg-type]
+
+
 def test_the_box_is_what_all_limits_allow() -> None:
-    physical = box(INITIAL, PHYSICAL, {}, {})
-    assert [side[2].item() for side in physical] == [-torch.inf, torch.inf]  # b has no limit
-    low, high = box(INITIAL, PHYSICAL, {"a": (0.45, 2.0), "b": (-1.0, 3.0)}, {"a": 0.3, "b": 2.0})
-    torch.testing.assert_close(low, torch.tensor([-0.05, -0.3, -1.0], dtype=torch.float64))  # the request's, then ε
-    torch.testing.assert_close(high, torch.tensor([0.3, 0.1, 2.0], dtype=torch.float64))  # ε, then the physical bound
+    physical = limits()
+    assert [float(side[2]) for side in (physical.low, physical.high)] == [-torch.inf, torch.inf]  # b has no limit
+    both = limits(bounds={"a": (0.45, 2.0), "b": (-1.0, 3.0)}, epsilon={"a": 0.3, "b": 2.0})
+    torch.testing.assert_close(both.low, torch.tensor([-0.05, -0.3, -1.0], dtype=torch.float64))
+    torch.testing.assert_close(both.high, torch.tensor([0.3, 0.1, 2.0], dtype=torch.float64))
 
 
 def test_bounds_that_exclude_the_start_are_refused_by_the_field() -> None:
     with pytest.raises(InvalidRequest, match=r"exclude the start: .* value of 0.9, not within 0.2 to 0.8") as error:
-        box(INITIAL, PHYSICAL, {"a": (0.2, 0.8)}, {})
+        limits(bounds={"a": (0.2, 0.8)})
     assert error.value.field == "attack.bounds.a"
 
 
 def test_a_random_start_fills_the_box_and_is_the_seeds() -> None:
     initial = {"a": torch.zeros(2000, dtype=torch.float64)}
-    limits = Limits.of(initial, {"a": (torch.tensor(-0.1), torch.tensor(0.3))})
-    start = random_start(limits, seed=3, restart=1)
+    bounds = {"a": (torch.tensor(-0.1), torch.tensor(0.3))}
+    filled = Limits.of(Values(initial, bounds), ["a"])  # type: ignore[arg-type]
+    start = random_start(filled, seed=3, restart=1)
     assert -0.1 <= float(start.min()) < -0.09
     assert 0.29 < float(start.max()) <= 0.3
     assert float(start.mean()) == pytest.approx(0.1, abs=4 * 0.4 / (12 * 2000) ** 0.5)  # four standard errors
-    assert torch.equal(start, random_start(limits, seed=3, restart=1))
-    assert not torch.equal(start, random_start(limits, seed=3, restart=2))
+    assert torch.equal(start, random_start(filled, seed=3, restart=1))
+    assert not torch.equal(start, random_start(filled, seed=3, restart=2))
 
 
 @pytest.mark.parametrize("power", [0.5, 1.0, 2.0])
@@ -117,8 +136,8 @@ def test_both_limits_of_backtracking_hold() -> None:
     image = original.clone()
     image[0, 0, 0, 0] += 0.1  # p is 0.05
 
-    def reached(**limits: float) -> float:
-        return Limits.of(INITIAL, PHYSICAL, **limits).reached(image, original)
+    def reached(**given: float) -> float:
+        return limits(**given).reached(image, original)
 
     assert reached(backtrack=0.11, perceptibility=0.06) < 1 < reached(backtrack=0.09, perceptibility=0.06)
     assert reached(backtrack=0.11, perceptibility=0.04) == pytest.approx(0.05 / (0.04 * (1 - P_MARGIN)))

@@ -10,6 +10,7 @@ from torch.nn.functional import cosine_similarity
 
 from services.attacks.differences import ImageDifferences, measure_image_half_steps
 from services.attacks.goal import ResolvedGoal
+from services.attacks.limits import Limits
 from services.attacks.problem import AttackProblem, differentiate, evaluate
 from services.rendering.opengl.gbuffer import rasterise
 from services.rendering.protocol import Parameters, Renderer
@@ -91,7 +92,9 @@ class Few:
 def problem(renderer: Renderer, target: Target, groups: tuple[str, ...] = ()) -> AttackProblem:
     with torch.no_grad():
         first = int(target.logits(renderer.render({g: v[None] for g, v in renderer.initial().items()})).argmax())
-    return AttackProblem.of(renderer, target, ResolvedGoal((first,), None), groups or renderer.groups)
+    return AttackProblem.of(
+        renderer, target, ResolvedGoal((first,), None), Limits.of(renderer, groups or renderer.groups)
+    )
 
 
 def place(case: AttackProblem, seed: int, size: float) -> Tensor:

@@ -7,6 +7,7 @@ import torch
 from torch.nn.functional import cosine_similarity
 
 from services.attacks.goal import ResolvedGoal
+from services.attacks.limits import Limits
 from services.attacks.p_rgf import PRgf, projected_gradient, surrogate_gradient
 from services.attacks.problem import AttackProblem, Counts, Surrogate
 from services.attacks.spsa import draw_directions
@@ -57,7 +58,7 @@ def test_the_prior_is_the_surrogates_gradient(case: AttackProblem) -> None:
     surrogate = Sums(case.renderer, 3)
     goal = ResolvedGoal((1,), None)
     one = replace(case, surrogate=Surrogate(surrogate, goal), counts=Counts())
-    alone = AttackProblem.of(case.renderer, surrogate, goal, case.layout.groups)
+    alone = AttackProblem.of(case.renderer, surrogate, goal, Limits.of(case.renderer, case.layout.groups))
     at = at_random(case)
     found = surrogate_gradient(one, {}, at, 0)
     truth = autograd(alone, at)
@@ -74,8 +75,7 @@ def test_with_the_networks_own_gradient_one_difference_finds_the_slope(case: Att
         case.renderer,
         target,
         goal,
-        case.layout.groups,
-        epsilon={"material": 0.16},
+        Limits.of(case.renderer, case.layout.groups, epsilon={"material": 0.16}),
         surrogate=Surrogate(target, goal),
     )
     given = {

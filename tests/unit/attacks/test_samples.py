@@ -10,6 +10,7 @@ from torch import Tensor
 from services.attacks.attack import ATTACKS
 from services.attacks.differences import ImageDifferences, estimate
 from services.attacks.goal import ResolvedGoal
+from services.attacks.limits import Limits
 from services.attacks.problem import AttackProblem, differentiate, draw_variation, evaluate
 from services.attacks.request import Expectation
 from services.attacks.run import AttackRun
@@ -187,7 +188,13 @@ def test_the_mean_gradient_through_pyrender_is_that_of_the_mean_objective() -> N
     renderer = build(resolve(Scene.model_validate(SCENE), LIBRARY), "pyrender", None, ("color", "camera"), "exact")
     target, asked = Linear(), Expectation(azimuth=8, distance=0.1, samples=2)
     case = AttackProblem.of(
-        renderer, target, ResolvedGoal((0,), None), ("color",), seed=3, loss="margin", expectation=asked
+        renderer,
+        target,
+        ResolvedGoal((0,), None),
+        Limits.of(renderer, ("color",)),
+        seed=3,
+        loss="margin",
+        expectation=asked,
     )
     case = replace(case, differences=ImageDifferences.at(case, {"color": 0.01}))
     found = differentiate(case, evaluate(case, case.nothing, 0, gradient=True)).gradient

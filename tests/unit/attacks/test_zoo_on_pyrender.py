@@ -7,6 +7,7 @@ import torch
 
 from services.attacks.differences import estimate
 from services.attacks.goal import ResolvedGoal
+from services.attacks.limits import Limits
 from services.attacks.problem import AttackProblem
 from services.attacks.run import AttackRun, Verifier
 from services.attacks.zoo import Zoo
@@ -24,7 +25,7 @@ def problem(*lights: PointLight) -> AttackProblem:
     description = scene((4, 5), lights=Lights(ambient=0.3, points=lights))
     renderer = PyrenderRenderer(placed(description, mesh(quad(0.5, color=(0.4, 0.5, 0.6, 1)))))
     groups = renderer.plan.groups
-    return AttackProblem.of(renderer, LinearTarget(), ResolvedGoal((0,), None), groups)  # type: ignore[arg-type]
+    return AttackProblem.of(renderer, LinearTarget(), ResolvedGoal((0,), None), Limits.of(renderer, groups))  # type: ignore[arg-type]
 
 
 def settings(**changes: object) -> Zoo:

@@ -8,6 +8,7 @@ from torch.nn.functional import cosine_similarity
 
 from services.attacks.differences import estimate
 from services.attacks.goal import ResolvedGoal
+from services.attacks.limits import Limits
 from services.attacks.problem import AttackProblem
 from services.rendering.opengl.gbuffer import rasterise
 from services.rendering.torch_renderer.renderer import TorchRenderer
@@ -37,7 +38,7 @@ def build(group: str, distance_weight: float = 0.1) -> AttackProblem:
         start = {g: v[None] for g, v in renderer.initial().items()}
         first = int(target.logits(renderer.render(start)).argmax())
     goal = ResolvedGoal((first,), None)
-    return AttackProblem.of(renderer, target, goal, (group,), distance_weight=distance_weight)
+    return AttackProblem.of(renderer, target, goal, Limits.of(renderer, (group,)), distance_weight=distance_weight)
 
 
 def at_random(problem: AttackProblem) -> torch.Tensor:

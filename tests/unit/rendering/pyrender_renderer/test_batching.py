@@ -6,6 +6,7 @@ import torch
 
 from services.attacks.differences import estimate
 from services.attacks.goal import ResolvedGoal
+from services.attacks.limits import Limits
 from services.attacks.problem import AttackProblem
 from services.rendering.pyrender_renderer.batching import Array, alone, shared
 from services.rendering.pyrender_renderer.planner import both_sides
@@ -151,7 +152,7 @@ def test_gradients_of_zoo_are_differences_of_exact_images(coordinates: int) -> N
             return images.flatten(1).float() @ weights.T
 
     def gradients(of: PyrenderRenderer, chosen: torch.Tensor) -> torch.Tensor:
-        case = AttackProblem.of(of, Linear(), ResolvedGoal((0,), None), of.groups)  # type: ignore[arg-type]
+        case = AttackProblem.of(of, Linear(), ResolvedGoal((0,), None), Limits.of(of, of.groups))  # type: ignore[arg-type]
         total = case.layout.total
         deltas = torch.full((len(chosen),), 0.01, dtype=torch.float64)
         return estimate(case, torch.zeros(total), chosen, deltas, 0.0).gradients
