@@ -90,6 +90,15 @@ class Cancelled(Exception):
 
 
 @contextmanager
+def at_field(field: str) -> Iterator[None]:
+    """Names the field of the request in an InvalidRequest of the block."""
+    try:
+        yield
+    except InvalidRequest as error:
+        raise InvalidRequest(field, error.detail) from error
+
+
+@contextmanager
 def named(whose: str) -> Iterator[None]:
     """Turns any error of the block into JobFailure("internal"), which says `whose` it is: "target 'resnet'".
 

@@ -9,7 +9,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from math import radians
 from typing import Any
-from weakref import ref
 
 import torch
 from torch import Tensor
@@ -21,7 +20,7 @@ from services.attacks.limits import Limits
 from services.attacks.problem import Surrogate
 from services.attacks.request import VIEWS, Expectation
 from services.attacks.run import Verifier
-from services.errors import InvalidFields, InvalidRequest, named
+from services.errors import InvalidFields, InvalidRequest, at_field, named
 from services.pipeline import goals
 from services.pipeline.described import can_carry
 from services.pipeline.goals import Classification, Settled
@@ -135,8 +134,7 @@ def _prepare(spec: JobSpec, library: Library, tolerance: Tolerance) -> Prepared:
         raise InvalidFields(wrong)
     scene = resolved_scene(spec, library)
     spec = spec.model_copy(update={"scene": scene.description})
-    network = registry.load(spec.target.name)
-    task = task_of(spec, network, asked)
+    task = task_of(spec, registry.load(spec.target.name), asked)
     target = task.target
     renderer = _renderer(spec, scene, tolerance)
     if spec.attack.expectation is not None:
@@ -150,7 +148,7 @@ def _prepare(spec: JobSpec, library: Library, tolerance: Tolerance) -> Prepared:
     verifier = Verifier(renderer, target)
     exact = _exact_image(spec, scene, verifier)
     saved = to_bytes(exact).cpu()
-    original = ScoredImage(exact, saved, _scores(spec, scene, network, verifier, saved))
+    original = ScoredImage(exact, saved, verifier.logits(saved))
     settled = task.settle(original.saved, original.logits)
     check_loss(spec.attack.objective, settled.goal, len(target.labels))
     return Prepared(
@@ -237,10 +235,8 @@ def check_analysis(spec: JobSpec) -> None:
         return
     for index, name in enumerate(asked.targets):
         field = f"analysis.transfer.targets.{index}"
-        try:
+        with at_field(field):
             registry.labels(name)
-        except InvalidRequest as error:
-            raise InvalidRequest(field, error.detail) from error
         if TARGETS[name].info.takes_question:
             raise InvalidRequest(field, f"{name} answers questions; an image is shown to it without one")
     drawing = [
@@ -268,10 +264,8 @@ def check_surrogate(spec: JobSpec) -> None:
     name = spec.attack.guide
     if name is None:
         return
-    try:
+    with at_field(SURROGATE):
         registry.labels(name)
-    except InvalidRequest as error:
-        raise InvalidRequest(SURROGATE, error.detail) from error
     if name == spec.target.name:
         raise InvalidRequest(
             SURROGATE, f"{name} is the target itself; name another one, or choose a method with gradients"
@@ -319,10 +313,8 @@ def load_targets(spec: JobSpec) -> None:
     """
     asked = spec.analysis.transfer
     for index, name in enumerate(() if asked is None else asked.targets):
-        try:
+        with at_field(f"analysis.transfer.targets.{index}"):
             registry.load(name)
-        except InvalidRequest as error:
-            raise InvalidRequest(f"analysis.transfer.targets.{index}", error.detail) from error
 
 
 def surrogate(spec: JobSpec, labels: tuple[str, ...], settled: Settled) -> Surrogate | None:
@@ -336,10 +328,8 @@ def surrogate(spec: JobSpec, labels: tuple[str, ...], settled: Settled) -> Surro
     if name is None:
         return None
     card = registry.card(name)
-    try:
+    with at_field(SURROGATE):
         target = registry.load(name)
-    except InvalidRequest as error:
-        raise InvalidRequest(SURROGATE, error.detail) from error
     if target.takes_question:
         raise InvalidRequest(SURROGATE, f"{name} answers questions; it is asked without one")
     if not registry.has_gradient(name):
@@ -421,26 +411,6 @@ def _exact_image(spec: JobSpec, scene: ResolvedScene, verifier: Verifier) -> Ten
     return image
 
 
-def _scores(spec: JobSpec, scene: ResolvedScene, target: Target, verifier: Verifier, original: Tensor) -> Tensor:
-    """The network's scores of that image rounded. They count as asked for also if they were recalled.
-
-    Only the same network is not asked again, and none of which nothing but scores is known: a URL may answer otherwise.
-    """
-    queries = verifier.counts.queries
-    try:
-        own = ref(target)
-    except TypeError:  # an object with slots, of an extension
-        own = None
-    if own is None or not target.differentiable:
-        return verifier.logits(original)
-    what = "scores", target.name, spec.target.asked, *_drawn_by(spec)
-    kept: tuple[ref[Target], Tensor] | None = scene.measured.get(what)
-    if kept is None or kept[0]() is not target:
-        scene.measured[what] = kept = own, verifier.logits(original).clone()
-    verifier.counts.queries = queries + 1
-    return kept[1]
-
-
 def _drawn_by(spec: JobSpec) -> tuple[Hashable, ...]:
     """Returns the choices on which an exact image depends besides the scene."""
     attack = spec.attack
@@ -471,6 +441,5 @@ def recall(scene: ResolvedScene) -> ResolvedScene:
 
 
 def _size(measured: Mapping[Hashable, Any]) -> int:
-    """Bytes of the tensors of measurements, which are tensors or have some beside others."""
-    values = (value if isinstance(value, tuple) else (value,) for value in measured.values())
-    return sum(part.numel() * part.element_size() for some in values for part in some if isinstance(part, Tensor))
+    """Bytes of the tensors among measurements."""
+    return sum(value.numel() * value.element_size() for value in measured.values() if isinstance(value, Tensor))

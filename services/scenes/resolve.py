@@ -6,8 +6,7 @@ import base64
 import binascii
 import hashlib
 import json
-from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from math import pi, sin
@@ -16,7 +15,7 @@ from typing import Any, TypeVar
 import numpy as np
 from pydantic import BaseModel
 
-from services.errors import InvalidRequest
+from services.errors import InvalidRequest, at_field
 from services.scenes.description import MAP_SIZES, Floor, Scene, SceneObject
 from services.scenes.environment import LIGHTS, EnvironmentMap, average, lights_map
 from services.scenes.image_file import to_display
@@ -381,22 +380,13 @@ def fingerprint(description: BaseModel, contents: Sequence[str]) -> str:
     return hashlib.sha256("\n".join([canonical_json(description), *contents]).encode()).hexdigest()
 
 
-@contextmanager
-def _at(field: str) -> Iterator[None]:
-    """Names the field of the request in an InvalidRequest of the block."""
-    try:
-        yield
-    except InvalidRequest as error:
-        raise InvalidRequest(field, error.detail) from error
-
-
 def _meshes(library: Library, scene: Scene) -> tuple[Mesh, ...]:
     """The objects' meshes; objects of the same mesh and surface share one, so that it is uploaded once."""
     meshes: dict[tuple[str, float | None, float | None], Mesh] = {}
     for k, thing in enumerate(scene.objects):
         key = thing.mesh, thing.metallic, thing.roughness
         if key not in meshes:
-            with _at(f"scene.objects.{k}.mesh"):
+            with at_field(f"scene.objects.{k}.mesh"):
                 mesh = library.mesh(thing.mesh)
             meshes[key] = with_surface(mesh, thing.metallic, thing.roughness)
     return tuple(meshes[thing.mesh, thing.metallic, thing.roughness] for thing in scene.objects)
@@ -406,14 +396,14 @@ def _environment(library: Library, scene: Scene) -> EnvironmentMap:
     name = scene.lights.environment.map
     if name == LIGHTS:
         return lights_map(scene.lights)
-    with _at("scene.lights.environment.map"):
+    with at_field("scene.lights.environment.map"):
         return library.environment(name)
 
 
 def _picture(scene: Scene) -> Doubles | None:
     if scene.background is None or scene.background.image is None:
         return None
-    with _at("scene.background.image"):
+    with at_field("scene.background.image"):
         return read_picture(scene.background.image, scene.camera.size)
 
 

@@ -6,17 +6,12 @@ from typing import Any
 import pytest
 import torch
 
-from services.accuracy.stability.objects import linear_network
 from services.pipeline.execute import execute
-from services.pipeline.prepare import KEPT_SCENES, MAX_KEPT_SCENES, MAX_MEASUREMENTS, plan, prepare, recall
+from services.pipeline.prepare import KEPT_SCENES, MAX_KEPT_SCENES, MAX_MEASUREMENTS, plan, recall
 from services.pipeline.result import Result
-from services.rendering.color import from_bytes
 from services.rendering.factory import build
 from services.rendering.plan import Plan
 from services.scenes.resolve import ResolvedScene, resolve
-from services.targets import registry
-from services.targets.classifier import Classifier
-from services.targets.info import TargetInfo
 from tests.unit.jobs.small import LIBRARY, spec
 
 pytestmark = pytest.mark.slow
@@ -136,73 +131,6 @@ def test_the_scenes_of_the_last_jobs_are_kept_and_no_more() -> None:
     assert recall(first).once("number", lambda: -1) == -1
 
 
-CARD = TargetInfo(
-    name="linear",
-    title="sums of pixels",
-    task="classification",
-    input_size=(8, 8),
-    classes=4,
-    differentiable=None,
-    takes_question=False,
-    source="this test",
-    licence="none",
-)
-
-
-def _asked(target: Classifier, times: int = 2) -> int:
-    """How often the network looks at the original image while a job on the sphere is prepared `times` times."""
-    looked, logits = 0, target.logits
-
-    def counted(*given: Any) -> Any:
-        nonlocal looked
-        looked += 1
-        return logits(*given)
-
-    with registry.registered(CARD, target):
-        registry.load("linear")  # which tries it
-        target.logits = counted  # type: ignore[method-assign]
-        for _ in range(times):
-            found = prepare(spec(PIXELS, target={"name": "linear"}), LIBRARY)
-            assert (found.verifier.counts.queries, found.verifier.counts.renders) == (1, 1)
-            assert torch.equal(found.original.logits, logits(from_bytes(found.original.saved)[None])[0])
-    return looked
-
-
-def test_a_network_answers_the_same_image_once() -> None:
-    assert _asked(linear_network()) == 1
-
-
-def test_another_network_of_the_same_name_and_hash_is_asked_anew() -> None:
-    assert [_asked(linear_network(scale=scale), times=1) for scale in (1.0, -1.0)] == [1, 1]
-
-
-class _Slotted:
-    """A network to which no weak reference can be made."""
-
-    __slots__ = ("differentiable", "inner")
-    name = "linear"
-    takes_question = False
-
-    def __init__(self) -> None:
-        self.inner, self.differentiable = linear_network(), True
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self.inner, name)
-
-
-def test_a_network_of_an_object_with_slots_is_asked_every_time() -> None:
-    with registry.registered(CARD, _Slotted()):
-        for _ in range(2):
-            found = prepare(spec(PIXELS, target={"name": "linear"}), LIBRARY)
-            assert found.verifier.counts.queries == 1
-
-
-def test_a_network_of_which_only_scores_are_known_is_asked_every_time() -> None:
-    behind_a_url = linear_network()
-    behind_a_url.differentiable = False
-    assert _asked(behind_a_url) == 2
-
-
 def test_of_one_scene_no_more_is_kept_than_is_bounded() -> None:
     for number in range(3 * MAX_MEASUREMENTS):
         recall(resolve(spec().scene, LIBRARY)).once(("tolerance", number), lambda: number)  # noqa: B023
@@ -217,5 +145,5 @@ def test_large_images_are_not_kept_for_long(monkeypatch: pytest.MonkeyPatch) -> 
         recall(scene).once("exact image", lambda: torch.zeros(150))  # 600 bytes
     assert len(KEPT_SCENES) == 2  # the last one's own was not measured yet when it was recalled
     again = resolve(spec(scene={"camera": {"size": [64, 64], "azimuth": 0.4}}).scene, LIBRARY)
-    recall(again).once("scores", lambda: (None, torch.zeros(200)))
+    recall(again).once("another", lambda: torch.zeros(200))
     assert recall(resolve(again.description, LIBRARY)).measured == {}
