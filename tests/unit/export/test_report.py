@@ -6,8 +6,7 @@ import pytest
 
 from services.export.parameters import ParameterTable
 from services.export.report import content, curves, report
-from services.pipeline.question_record import ATTENTION
-from services.pipeline.result import Result, subset_image
+from services.pipeline.result import ATTENTION, Result, subset_image
 from tests.unit.api.dashboard_records import result, row
 
 HOSTILE = "<script>alert(1)</script>\"'&"
