@@ -220,12 +220,16 @@ def _network(program: Mapping[str, Any], weights: Mapping[str, Tensor], size: tu
     graph, signature = module["graph"], module["signature"]
     bound, source = _inputs(signature["input_specs"], weights)
     made = Graph()
-    values = _Values({source: (x := made.placeholder("x"))})
+    x = made.placeholder("x")
+    values = _Values({source: x})
     device = made.call_function(getattr, (x, "device"))  # in place of the device on which the file was made
     values |= {name: made.get_attr(f"weight_{index}") for index, name in enumerate(bound)}
     for index, node in enumerate(graph["nodes"]):
         _add_operation(made, f"node_{index}", node, values, device)
     made.output(values[_result(signature["output_specs"])])
+    for result in reversed(made.nodes):
+        if result.target is operator.getitem and not result.users:  # it would be kept to the end
+            made.erase_node(result)
     network = GraphNetwork(made, list(bound.values()))
     about = graph["tensor_values"][source]
     count = check_input([length.get("as_int") for length in about["sizes"]], size)
