@@ -106,6 +106,11 @@ KEPT_MESHES = 32
 """Number of recently used meshes kept in memory; a large mesh takes about 30 MB."""
 _UPLOAD = re.compile(r"sha256:([0-9a-f]{64})")
 SETUP = "run scripts/setup to fetch the furniture library and the environment maps"
+NAMES = (
+    "; a mesh is furniture/<slug>, primitive/<name>, or the sha256:<64 hex digits> that the upload of a file answered; "
+    "GET /v1/scenes and `scene-attack assets list` list all of them"
+)
+"""How meshes are named, for a name that no mesh's is close to."""
 
 
 class Library:
@@ -153,13 +158,7 @@ class Library:
 
         An upload for whose name `may_use` is false is unknown, too.
         """
-        kind, _, rest = name.partition("/")
-        if _UPLOAD.fullmatch(name):
-            if not (may_use(name) and self.has_upload(name)):
-                raise self._unknown_mesh(name)
-        elif not (kind == "primitive" and rest in PRIMITIVES) and not (
-            kind == "furniture" and rest in self._catalogue()
-        ):
+        if (_UPLOAD.fullmatch(name) and not may_use(name)) or self.entry(name) is None:
             raise self._unknown_mesh(name)
 
     def check_map(self, name: str, may_use: Callable[[str], bool] = lambda _: True) -> None:
@@ -174,7 +173,9 @@ class Library:
                 raise InvalidRequest("environment", f"there is no environment map {name!r}")
         elif name != environment.LIGHTS and not (known := {item.name: item for item in self.environments()}).get(name):
             hint = "" if len(known) > 1 else f"; {SETUP}"
-            raise InvalidRequest("environment", _unknown("environment map", name, known) + hint)
+            raise InvalidRequest(
+                "environment", f"there is no environment map {name!r}{did_you_mean(name, known)}{hint}"
+            )
 
     def has_upload(self, name: str) -> bool:
         """Whether there is an uploaded mesh of that name, `sha256:<hex>`."""
@@ -195,8 +196,7 @@ class Library:
 
     def furniture_archive(self, name: str) -> bytes | None:
         """Returns a furniture library of one model, `furniture/<slug>`; None for another name."""
-        kind, _, slug = name.partition("/")
-        model = self._catalogue().get(slug) if kind == "furniture" else None
+        model = self._model(name)
         return None if model is None else archive_of(model, self._furniture)
 
     def map_file(self, name: str) -> bytes | None:
@@ -246,8 +246,7 @@ class Library:
 
     def picture(self, name: str) -> bytes | None:
         """Returns the PNG file of the picture that a furniture library has of a mesh, `furniture/<slug>`; else None."""
-        kind, _, slug = name.partition("/")
-        model = self._catalogue().get(slug) if kind == "furniture" else None
+        model = self._model(name)
         return None if model is None else read_icon(model, self._furniture)
 
     def thumbnail(self, name: str) -> bytes | None:
@@ -281,9 +280,8 @@ class Library:
         with self._lock:
             if name not in self._maps:
                 self.check_map(name)
-                known = {entry.name: entry for entry in self.environments()}
-                path = self._environments / f"{name}.exr"
-                self._maps[name] = uniform() if name == "uniform" else read_exr(path, known[name].credit)
+                path, credit = self._environments / f"{name}.exr", environment_entry(name).credit
+                self._maps[name] = uniform() if name == "uniform" else read_exr(path, credit)
             return self._maps[name]
 
     def environments(self) -> list[Entry]:
@@ -304,16 +302,23 @@ class Library:
             if is_map(upload.kind):
                 raise InvalidRequest("mesh", f"{name!r} is an environment map, for lights.environment.map")
             return self._uploads.load(upload)
-        models = self._catalogue()
-        if kind == "furniture" and rest in models:
-            return load_model(models[rest], self._furniture, self._processed)
+        if (model := self._model(name)) is not None:
+            return load_model(model, self._furniture, self._processed)
         raise self._unknown_mesh(name)
 
     def _unknown_mesh(self, name: str) -> InvalidRequest:
         """The error for a name that is none. It suggests no upload, which may be somebody else's."""
         if name.startswith("furniture/") and not self._catalogue():
             return InvalidRequest("mesh", f"there is no furniture in {self._furniture}; {SETUP}")
-        return InvalidRequest("mesh", _unknown_mesh(name, [entry.name for entry in self._shipped()]))
+        known = [entry.name for entry in self._shipped()]
+        same = [other for other in known if other.rpartition("/")[2] == name.lower()]  # without its folder
+        hint = f"; did you mean {same[0]!r}?" if same else did_you_mean(name, known)
+        return InvalidRequest("mesh", f"there is no mesh {name!r}{hint or NAMES}")
+
+    def _model(self, name: str) -> Model | None:
+        """The model of a piece of furniture, `furniture/<slug>`; None for another name."""
+        kind, _, slug = name.partition("/")
+        return self._catalogue().get(slug) if kind == "furniture" else None
 
     def _catalogue(self) -> dict[str, Model]:
         with self._lock:
@@ -331,21 +336,3 @@ class Library:
                 solids = [own_entry(f"primitive/{name}", "primitive") for name in sorted(PRIMITIVES)]
                 self._shipped_entries = [*furniture, *solids]
             return self._shipped_entries
-
-
-def _unknown(what: str, name: str, known: Iterable[str]) -> str:
-    return f"there is no {what} {name!r}{did_you_mean(name, known)}"
-
-
-def _unknown_mesh(name: str, known: list[str]) -> str:
-    """Returns the message of `_unknown`. It names the mesh if only its folder was left out, and says how meshes are
-    named if no name is close.
-    """
-    same = [known_name for known_name in known if known_name.rpartition("/")[2] == name.lower()]
-    message = f"there is no mesh {name!r}; did you mean {same[0]!r}?" if same else _unknown("mesh", name, known)
-    if message.endswith("?"):
-        return message
-    return (
-        f"{message}; a mesh is furniture/<slug>, primitive/<name>, or the sha256:<64 hex digits> that the upload of a "
-        "file answered; GET /v1/scenes and `scene-attack assets list` list all of them"
-    )
