@@ -1,7 +1,7 @@
 """Defines the mesh that renderers take: parts with a surface each, upright, centred and scaled to fit the frame."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import sin
 from typing import Literal
 
@@ -101,9 +101,9 @@ class Part:
     vertices: Floats
     normals: Floats
     faces: Integers
-    uv: Floats | None
-    color: Floats
-    texture: Bytes | None
+    uv: Floats | None = None
+    color: Floats = field(default_factory=lambda: np.ones(4, np.float32))
+    texture: Bytes | None = None
     metallic_roughness: MetallicRoughness | None = None
 
     @property

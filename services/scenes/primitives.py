@@ -22,9 +22,6 @@ def primitive(name: str) -> Mesh:
         vertices=vertices.astype(np.float32),
         normals=normals.astype(np.float32),
         faces=faces.astype(np.int32),
-        uv=None,
-        color=np.ones(4, np.float32),
-        texture=None,
     )
     (part,) = fitted((part,))
     return Mesh(parts=(part,), sha256=_digest(part), credit=None)

@@ -109,9 +109,6 @@ def floor_mesh(floor: Floor) -> Mesh:
         vertices=np.array(corners, np.float32),
         normals=np.tile(np.array([0.0, 1.0, 0.0], np.float32), (4, 1)),
         faces=np.array([(0, 1, 2), (0, 2, 3)], np.int32),
-        uv=None,
-        color=np.ones(4, np.float32),
-        texture=None,
     )
     digest = hashlib.sha256(part.vertices.tobytes()).hexdigest()
     return with_surface(Mesh(parts=(part,), sha256=digest, credit=None), floor.metallic, floor.roughness)

@@ -41,9 +41,8 @@ def from_arrays(arrays: Mapping[str, NDArray[Any]]) -> tuple[Part, ...]:
     """Returns the parts whose arrays `to_arrays` has returned. Raises KeyError or TypeError if one is missing."""
     parts = []
     for k in range(len({name.partition(".")[0] for name in arrays})):
-        settings: dict[str, Any] = {"uv": None, "texture": None}
         names = [field.name for field in fields(Part) if f"{k}.{field.name}" in arrays]
-        settings |= {name: arrays[f"{k}.{name}"] for name in names}
+        settings: dict[str, Any] = {name: arrays[f"{k}.{name}"] for name in names}
         if "metallic_roughness" in settings:
             settings["metallic_roughness"] = _material(arrays, f"{k}.metallic_roughness")
         parts.append(Part(**settings))

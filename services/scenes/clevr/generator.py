@@ -34,6 +34,7 @@ from services.scenes.clevr.records import (
     jittered,
     relationships,
 )
+from services.scenes.mesh import Doubles
 
 REACH = 3.0
 """Largest absolute x and y of an object's centre."""
@@ -87,9 +88,6 @@ def _is_free(centre: Vector, size: str, objects: list[ObjectRecord], axes: tuple
         if any(abs(x * axis[0] + y * axis[1]) < MARGIN for axis in axes):
             return False
     return True
-
-
-Doubles = NDArray[np.float64]
 
 
 def visible_pixels(placed: Sequence[ObjectRecord], rig: Rig) -> list[int]:

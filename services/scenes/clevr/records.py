@@ -15,6 +15,7 @@ from pydantic import ConfigDict, FailFast, Field, ValidationError, model_validat
 
 from services import disk
 from services.errors import InvalidRequest
+from services.scenes.description import Finite
 from services.strict import Strict
 
 SHAPES = ("cube", "sphere", "cylinder")
@@ -197,7 +198,6 @@ def relationships(
     return related
 
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
 Triple = tuple[Finite, Finite, Finite]
 Indices = Annotated[tuple[int, ...], FailFast()]
 Rows = Annotated[tuple[Indices, ...], FailFast()]

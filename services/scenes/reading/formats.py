@@ -22,7 +22,7 @@ from services.scenes.bundle import SIGNATURE, Up, unpack_archive
 from services.scenes.image_file import open_texture
 from services.scenes.mesh import Part, TooLarge, check_size
 from services.scenes.reading.companion_files import CompanionFiles, check_xml, decoded, texture_name
-from services.scenes.reading.gltf import GltfFile, check_glb, check_gltf, read_gltf
+from services.scenes.reading.gltf import READ_EXTENSIONS, GltfFile, check_glb, check_gltf, read_gltf
 from services.scenes.reading.isolated import Report, listed
 from services.scenes.reading.surfaces import MAX_TEXTURE, read_opacity, read_surfaces, to_parts
 
@@ -371,6 +371,5 @@ def _gltf_report(file: GltfFile, parts: Sequence[Part]) -> tuple[list[str], list
             uri = file.item("images", index).get("uri", "data:")
             # `_files` knows those in files of their own.
             dropped += _detail(f"images[{index}]", file.image(index)) if str(uri).startswith("data:") else []
-    read = ("KHR_mesh_quantization", "EXT_texture_webp")
-    dropped += [f"extension {name}" for name in file.array("extensionsUsed") if name not in read]
+    dropped += [f"extension {name}" for name in file.array("extensionsUsed") if name not in READ_EXTENSIONS]
     return used, dropped

@@ -557,8 +557,6 @@ def _primitive(file: GltfFile, where: str, entry: dict[str, Any], accessors: dic
     columns = {"NORMAL": (3,), "TANGENT": (4,), "TEXCOORD_0": (2,), "TEXCOORD_1": (2,), "COLOR_0": (3, 4)}
     attributes = {name: file.values(accessors[name], width) for name, width in columns.items() if name in accessors}
     for name, values in attributes.items():
-        if len(values) != len(vertices):
-            raise Unreadable(f"{where} has {len(values):,} of {name} for {len(vertices):,} vertices")
         if not np.isfinite(values).all():
             raise Unreadable(f"{where}.attributes.{name} has values that are not finite numbers")
         if np.abs(values).max(initial=0) > MAX_COORDINATE:
@@ -667,7 +665,6 @@ def _part(primitive: _Primitive, material: Material) -> Part:
         faces=primitive.faces.astype(np.int32),
         uv=uv_sets[0],
         color=material.color,
-        texture=None,
         metallic_roughness=MetallicRoughness(
             **settings,
             tangents=tangents.astype(np.float32),

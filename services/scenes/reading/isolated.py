@@ -26,6 +26,7 @@ import services
 from services.errors import InvalidRequest, JobFailure
 from services.logs import logger
 from services.scenes.bundle import MAX_FILES, Up, clean_name
+from services.scenes.description import Finite, Unit
 from services.scenes.image_file import MAX_PIXELS
 from services.scenes.mesh import FIT_RADIUS, VERTEX_ATTRIBUTES, AlphaMode, Bytes, Floats, MapName, Part
 from services.scenes.store import from_arrays, to_arrays
@@ -54,8 +55,6 @@ def listed(phrases: Iterable[str]) -> tuple[str, ...]:
 
 
 Arrays = Mapping[str, NDArray[Any]]
-Unit = Annotated[float, Field(ge=0, le=1)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
 Wrap = Literal[10497, 33071, 33648]
 Phrase = Annotated[str, Field(max_length=PHRASE_LENGTH)]
 _ROUNDING = 1.001

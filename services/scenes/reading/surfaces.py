@@ -19,7 +19,7 @@ from services.errors import Unreadable
 from services.scenes.image_file import MAX_PIXELS, to_linear
 from services.scenes.mesh import Bytes, Doubles, Floats, Longs, Part, fitted
 from services.scenes.reading.companion_files import CompanionFiles, decoded
-from services.scenes.reading.normals import CREASE_ANGLE, smooth_normals
+from services.scenes.reading.normals import smooth_normals
 
 FAR = 1_000.0
 """Distance from the origin, relative to the mesh's extent, beyond which rounding shows: a grid of 1e-4 of the mesh."""
@@ -90,9 +90,7 @@ def read_surfaces(scene: trimesh.Scene, opacity: Mapping[str, float] | None = No
     return surfaces
 
 
-def to_parts(
-    surfaces: Sequence[Surface], crease: float = CREASE_ANGLE, note: Callable[[str], None] = lambda _: None
-) -> tuple[Part, ...]:
+def to_parts(surfaces: Sequence[Surface], note: Callable[[str], None] = lambda _: None) -> tuple[Part, ...]:
     """Computes smooth normals over all surfaces together; returns the parts fitted to the frame, opaque parts first.
 
     A change of material is not a crease. Vertices must be finite. `note` is given what is not shown. Raises Unreadable
@@ -112,7 +110,7 @@ def to_parts(
     # Files use any unit; in the file's own unit areas could overflow or underflow.
     at_origin = (vertices - used.mean(axis=0)) / extent
 
-    smoothed = smooth_normals(at_origin, faces, crease)
+    smoothed = smooth_normals(at_origin, faces)
     if sentence := rounding_note(used, len(faces), len(smoothed.faces)):
         note(sentence)
     if not len(smoothed.faces):

@@ -10,8 +10,7 @@ from services.scenes.solids import is_convex
 
 def mesh(vertices: np.ndarray, faces: np.ndarray) -> Mesh:
     normals = np.tile(np.array([0, 1, 0], np.float32), (len(vertices), 1))
-    part = Part(vertices.astype(np.float32), normals, faces.astype(np.int32), None, np.ones(4, np.float32), None)
-    return Mesh((part,), "", None)
+    return Mesh((Part(vertices.astype(np.float32), normals, faces.astype(np.int32)),), "", None)
 
 
 def ball(rows: int = 12, columns: int = 16, dent: float = 0.0) -> tuple[np.ndarray, np.ndarray]:

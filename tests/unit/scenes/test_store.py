@@ -10,9 +10,6 @@ PART = Part(
     vertices=np.eye(3, dtype=np.float32),
     normals=np.eye(3, dtype=np.float32),
     faces=np.array([[0, 1, 2]]),
-    uv=None,
-    color=np.ones(4, dtype=np.float32),
-    texture=None,
 )
 
 

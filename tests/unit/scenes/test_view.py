@@ -24,8 +24,7 @@ def clip(camera, placed=None, far=50.0):
 def triangles(points, faces=None):
     points = np.asarray(points, np.float32).reshape(-1, 3)
     faces = np.arange(len(points)).reshape(-1, 3) if faces is None else np.asarray(faces)
-    one = Part(points, np.zeros_like(points), faces.astype(np.int32), None, np.ones(4, np.float32), None)
-    return Mesh((one,), "", None)
+    return Mesh((Part(points, np.zeros_like(points), faces.astype(np.int32)),), "", None)
 
 
 @given(st.floats(-6, 6), st.floats(-pi / 2, pi / 2), st.floats(0.1, 50))
