@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -26,41 +27,28 @@ MODULE = small_network.__name__
 SCENE = {"camera": {"size": [48, 48]}, "objects": [{"mesh": "primitive/sphere"}]}
 
 
-def without_card(root: Path) -> None:
-    save_pt2(root / "net" / "model.pt2") if (root / "net").mkdir() is None else None
+def net(*files: str, **fields: Any) -> Callable[[Path], None]:
+    """Makes a folder "net" with a card of these fields, and with empty files."""
 
-
-def two_models(root: Path) -> None:
-    made = folder(root, "net")
-    (made / "model.pt2").touch()
-    (made / "model.onnx").touch()
-
-
-def file_and_factory(root: Path) -> None:
-    (folder(root, "net", factory="a:b") / "model.pt2").touch()
-
-
-def pickled(root: Path) -> None:
-    torch.save({}, folder(root, "net") / "weights.pt")
-
-
-def not_json(root: Path) -> None:
-    (folder(root, "net") / "card.json").write_text("labels: [a]")
-
-
-def card(**fields: Any) -> Callable[[Path], None]:
     def make(root: Path) -> None:
-        (folder(root, "net", **fields) / "model.pt2").touch()
+        made = folder(root, "net", **fields)
+        for name in files:
+            (made / name).touch()
 
     return make
 
 
-def no_file(**fields: Any) -> Callable[[Path], None]:
-    return lambda root: (folder(root, "net", **fields), None)[1]
+card, weights = partial(net, "model.pt2"), partial(net, "model.safetensors")
 
 
-def weights_of(architecture: str | None) -> Callable[[Path], None]:
-    return lambda root: (folder(root, "net", architecture=architecture) / "model.safetensors").touch()
+def without_card(root: Path) -> None:
+    card()(root)
+    (root / "net" / "card.json").unlink()
+
+
+def not_json(root: Path) -> None:
+    card()(root)
+    (root / "net" / "card.json").write_text("labels: [a]")
 
 
 FOUND_AT_ONCE: dict[str, tuple[Callable[[Path], None], str]] = {
@@ -73,16 +61,16 @@ FOUND_AT_ONCE: dict[str, tuple[Callable[[Path], None], str]] = {
     "a scale of 0": (card(preprocessing={"scale": [1, 0, 1]}), "card.json: preprocessing.scale.1: .* above 0"),
     "labels in a file elsewhere": (card(labels="../labels.txt"), "card.json: labels: must be a list"),
     "labels in a file that is not there": (card(labels="labels.txt"), "labels.txt: there is no such file"),
-    "two model files": (two_models, "model: it has model.pt2 and model.onnx; keep one"),
-    "a model file and a factory": (file_and_factory, "model: it has model.pt2 and factory of the card; keep one"),
-    "no model": (no_file(), "model: it has none of model.pt2, model.onnx, model.safetensors"),
-    "a pickle": (pickled, "weights.pt is a pickle, which can run any code and is never read"),
-    "weights without an architecture": (weights_of(None), "card.json: architecture: is needed; there are .*small"),
-    "weights of an unknown one": (weights_of("smal"), "there is no 'smal'; .*did you mean 'small'"),
+    "two model files": (net("model.pt2", "model.onnx"), "model: it has model.pt2 and model.onnx; keep one"),
+    "a model file and a factory": (card(factory="a:b"), "model: it has model.pt2 and factory of the card; keep one"),
+    "no model": (net(), "model: it has none of model.pt2, model.onnx, model.safetensors"),
+    "a pickle": (net("weights.pt"), "weights.pt is a pickle, which can run any code and is never read"),
+    "weights without an architecture": (weights(architecture=None), "architecture: is needed; there are .*small"),
+    "weights of an unknown one": (weights(architecture="smal"), "there is no 'smal'; .*did you mean 'small'"),
     "an architecture for a program": (card(architecture="small"), "architecture: is only for model.safetensors"),
-    "a factory that is not allowed": (no_file(factory="os:getcwd"), "card.json: factory: .*'os:getcwd' is not allowed"),
-    "a factory that is no name": (no_file(factory="os.getcwd()"), "card.json: factory: "),
-    "an address that is not allowed": (no_file(endpoint="https://a.test/"), "card.json: endpoint: .*not allowed"),
+    "a factory that is not allowed": (net(factory="os:getcwd"), "card.json: factory: .*'os:getcwd' is not allowed"),
+    "a factory that is no name": (net(factory="os.getcwd()"), "card.json: factory: "),
+    "an address that is not allowed": (net(endpoint="https://a.test/"), "card.json: endpoint: .*not allowed"),
 }
 
 
@@ -187,18 +175,6 @@ def more_classes(root: Path) -> None:
     save_safetensors(folder(root, "net", architecture="small", labels=[*LABELS, "more"]) / "model.safetensors")
 
 
-def maite_of_other_labels(root: Path) -> None:
-    folder(root, "net", factory=f"{MODULE}:maite", labels=LABELS[::-1], output="probabilities")
-
-
-def probabilities(root: Path) -> None:
-    folder(root, "net", factory=f"{MODULE}:maite")
-
-
-def failing(root: Path) -> None:
-    folder(root, "net", factory=f"{MODULE}:fails")
-
-
 FOUND_AT_THE_REQUEST: dict[str, tuple[Callable[[Path], None], str]] = {
     "scores that are no [B, K]": (exported(Shaped()), r"returns torch.float32 \[2, 3, 1, 1\] .* \[2, 3\] is due"),
     "a program of two outputs": (exported(TwoOutputs()), "model.pt2: it returns 2 values"),
@@ -210,9 +186,15 @@ FOUND_AT_THE_REQUEST: dict[str, tuple[Callable[[Path], None], str]] = {
     "another input size": (another_size, "but the card's preprocessing.input_size is 64×64"),
     "a weight that is missing": (less_weights, "does not fit small with 5 classes: it lacks head.bias"),
     "weights of another shape": (more_classes, r"with 6 classes: head.weight has the shape \[5, 128\]; \[6, 128\]"),
-    "a MAITE model of other labels": (maite_of_other_labels, "metadata.index2label has 5 labels, which are not"),
-    "probabilities": (probabilities, 'state "output": "probabilities" in its card'),
-    "a factory that fails": (failing, "small_network:fails fails: OSError: weights.bin is not there"),
+    "a MAITE model of other labels": (
+        net(factory=f"{MODULE}:maite", labels=LABELS[::-1], output="probabilities"),
+        "metadata.index2label has 5 labels, which are not",
+    ),
+    "probabilities": (net(factory=f"{MODULE}:maite"), 'state "output": "probabilities" in its card'),
+    "a factory that fails": (
+        net(factory=f"{MODULE}:fails"),
+        "small_network:fails fails: OSError: weights.bin is not there",
+    ),
 }
 
 

@@ -6,10 +6,10 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from services.questions.program import Node, Program
+from services.questions.program import Program
 from services.targets.iep.assembly import COMPARING, JOINING, MAPPING, READING, Question, assemble
 from services.targets.iep.engine import N_CELLS, Engine
-from tests.unit.targets.iep import world
+from tests.unit.targets.iep import seeded, world
 
 pytestmark = pytest.mark.slow
 
@@ -149,19 +149,8 @@ def test_the_gradient_is_that_of_finite_differences() -> None:
 def test_gradients_reach_the_modules_that_are_used_and_no_other() -> None:
     engine, features = an_engine(), some_features(1)
     used = ("filter_color[red]", "relate[left]", "union", "count", "query_shape", "equal_shape")
-    queries = [
-        Node("scene", (), ()),
-        Node("filter_color", (0,), ("red",)),
-        Node("unique", (1,), ()),
-        Node("relate", (2,), ("left",)),
-        Node("union", (1, 3), ()),
-        Node("unique", (4,), ()),
-        Node("query_shape", (5,), ()),
-        Node("query_shape", (2,), ()),
-        Node("equal_shape", (6, 7), ()),
-    ]
-    counting = (Node("scene", (), ()), Node("count", (0,), ()))
-    programs = (Program(tuple(queries)), Program(counting))
+    queries = ("scene", "filter_color 0 red", "unique 1", "relate 2 left", "union 1 3", "unique 4", "query_shape 5")
+    programs = (seeded.program(*queries, "query_shape 2", "equal_shape 6 7"), seeded.program("scene", "count 0"))
     engine(features, assemble([Question(program) for program in programs])).scores.square().sum().backward()
     for modules, names in (
         (engine.mapping, MAPPING),
@@ -196,8 +185,7 @@ def test_scores_are_continuous_where_a_cell_drops_out() -> None:
 
 @torch.no_grad()
 def test_what_has_no_mask_has_no_attention() -> None:
-    program = Program((Node("scene", (), ()), Node("count", (0,), ())))
-    execution = an_engine()(some_features(1), assemble([Question(program)]))
+    execution = an_engine()(some_features(1), assemble([Question(seeded.program("scene", "count 0"))]))
     assert execution.attention(0, 0).shape == (15, 20)
     with pytest.raises(ValueError, match="count"):
         execution.attention(0, 1)

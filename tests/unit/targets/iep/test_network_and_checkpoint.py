@@ -4,15 +4,13 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
-from services.questions.program import Node, Program
 from services.targets.iep.assembly import Question, assemble
 from services.targets.iep.checkpoint import MAX_BYTES, load, to_bytes
 from services.targets.iep.engine import CHANNELS, Network, Trunk
 from services.targets.iep.program_generator import ProgramGenerator
+from tests.unit.targets.iep.seeded import program
 
-ASSEMBLY = assemble(
-    [Question(Program((Node("scene", (), ()), Node("filter_size", (0,), ("large",)), Node("count", (1,), ()))))]
-)
+ASSEMBLY = assemble([Question(program("scene", "filter_size 0 large", "count 1"))])
 
 
 @pytest.fixture(scope="module")
