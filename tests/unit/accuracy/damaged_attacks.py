@@ -112,18 +112,8 @@ def any_seed(patch) -> None:
     patch.setattr(networks, "Seed", int)
 
 
-def estimates(change):
-    """Breaks every estimate of a gradient by differences: `change`(true, problem, at, coordinates, deltas, noise)."""
-
-    def apply(patch) -> None:
-        true = differences.estimate
-        for module in (attacks, differences):
-            patch.setattr(module, "estimate", lambda *given: change(true, *given))
-
-    return apply
-
-
-def _one_sided(_, problem, at, coordinates, half_steps, noise):
+@breaks("estimate", attacks, differences)
+def one_sided_differences(_, problem, at, coordinates, half_steps, noise):
     moved = at.repeat(len(coordinates) + 1, 1)
     moved[torch.arange(len(coordinates)), coordinates] += half_steps.to(moved.dtype)
     scores = problem.objectives(moved)
@@ -132,13 +122,10 @@ def _one_sided(_, problem, at, coordinates, half_steps, noise):
     return Estimate(torch.where(below_noise, 0.0, change / half_steps), below_noise)
 
 
-def _scaled(true, *given):
+@breaks("estimate", attacks, differences)
+def differences_over_one_step(true, *given):
     found = true(*given)
     return replace(found, gradients=2 * found.gradients)
-
-
-one_sided_differences = estimates(_one_sided)
-differences_over_one_step = estimates(_scaled)
 
 
 def negative_weight(patch) -> None:
@@ -171,12 +158,7 @@ def twice_the_limit(patch) -> None:
 
 def settings(**changed):
     """Breaks FGSM by ignoring settings."""
-
-    def apply(patch) -> None:
-        true = Fgsm.step
-        patch.setattr(Fgsm, "step", lambda self, *given: true(self.model_copy(update=changed), *given))
-
-    return apply
+    return breaks("step", Fgsm)(lambda true, self, *given: true(self.model_copy(update=changed), *given))
 
 
 no_momentum = settings(momentum=0.0)

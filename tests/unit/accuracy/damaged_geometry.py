@@ -13,17 +13,12 @@ from services.scenes.reading import normals, surfaces
 from tests.unit.accuracy.damage import breaks
 
 
-def shifted_frames(patch) -> None:
+@breaks("rasterise", geometry, torch_shading)
+def shifted_frames(true, scene):
     """Rasterised images that are one pixel too low, their coverage nine tenths of what it is."""
-    for module in (geometry, torch_shading):
-        true = module.rasterise
-
-        def rasterise(scene, true=true):
-            seen = true(scene)
-            moved = {name: getattr(seen, name).roll(2, 0) for name in ("normals", "coverage", "base_color", "depth")}
-            return replace(seen, **moved | {"coverage": 0.9 * moved["coverage"]})
-
-        patch.setattr(module, "rasterise", rasterise)
+    seen = true(scene)
+    moved = {name: getattr(seen, name).roll(2, 0) for name in ("normals", "coverage", "base_color", "depth")}
+    return replace(seen, **moved | {"coverage": 0.9 * moved["coverage"]})
 
 
 @breaks("rasterise", torch_shading)
@@ -143,13 +138,7 @@ class Damaged:
 
 def images(change):
     """Breaks every renderer that a case makes."""
-
-    def apply(patch) -> None:
-        for module in BUILDERS:
-            true = module.build
-            patch.setattr(module, "build", lambda *given, true=true, **named: Damaged(true(*given, **named), change))
-
-    return apply
+    return breaks("build", *BUILDERS)(lambda true, *given, **named: Damaged(true(*given, **named), change))
 
 
 lighter_images = images(lambda image, _: (image + 0.01).clamp_max(1))

@@ -192,13 +192,7 @@ def swapped_axes(true, self, illuminations, *given):
 
 def maps(change):
     """Breaks the reading of map files."""
-
-    def apply(patch) -> None:
-        true = environment.from_image
-        for module in (environment, torch_light):
-            patch.setattr(module, "from_image", lambda image: change(true(image)))
-
-    return apply
+    return breaks("from_image", environment, torch_light)(lambda true, image: change(true(image)))
 
 
 mirrored_maps = maps(lambda radiance: radiance[:, ::-1])
