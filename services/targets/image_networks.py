@@ -16,12 +16,11 @@ import hashlib
 import json
 from collections.abc import Callable, Mapping
 from functools import cache, partial
-from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from services.targets.architectures import register_architecture
-from services.targets.info import Published, TargetInfo, register
+from services.targets.info import Published, TargetInfo, register, shipped
 from services.targets.labels import imagenet_labels
 
 if TYPE_CHECKING:
@@ -88,7 +87,7 @@ def imagenet_card(name: str, title: str, source: str, licence: str = "BSD-3-Clau
 @cache
 def facts(name: str) -> dict[str, Any]:
     """Returns the record that lies beside a network's weights: labels, input, training, held-out accuracy."""
-    content: dict[str, Any] = json.loads(_shipped(name, "json").read_text("utf-8"))
+    content: dict[str, Any] = json.loads(shipped(f"{name}.json").read_text("utf-8"))
     return content
 
 
@@ -113,10 +112,6 @@ def furniture_card(name: str, title: str) -> TargetInfo:
         licence="Apache-2.0",
         vocabulary="furniture-14",
     )
-
-
-def _shipped(name: str, ending: str) -> Path:
-    return Path(str(files("services.targets").joinpath("weights"))) / f"{name}.{ending}"
 
 
 def _classifier(card: TargetInfo, network: nn.Module, weights: Path, mean: Triple, scale: Triple, dtype: Any) -> Target:
@@ -170,7 +165,7 @@ def load_furniture(card: TargetInfo, build: Callable[[int], nn.Module], dtype: t
     """Returns the target of a card, with the weights that ship with the project."""
     from services.targets.weights_file import load_in_factors
 
-    path, recorded, network = _shipped(card.name, "safetensors"), facts(card.name), build(card.classes)
+    path, recorded, network = shipped(f"{card.name}.safetensors"), facts(card.name), build(card.classes)
     load_in_factors(network, path)
     return _classifier(card, network, path, tuple(recorded["mean"]), tuple(recorded["scale"]), dtype)
 

@@ -48,6 +48,11 @@ class TargetInfo(BaseModel):
     """SHA-256 (hex) of the bytes of `card.json`, for a network that a user brings."""
 
 
+def shipped(file: str) -> Path:
+    """Path of a file of weights that ships with the project."""
+    return Path(__file__).with_name("weights") / file
+
+
 @dataclass(frozen=True)
 class Published:
     """A file of weights at its published address, which is fetched when it is first needed."""

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from importlib.resources import files
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from services.questions.executor import ANSWERS
-from services.targets.info import TargetInfo, register
+from services.targets.info import TargetInfo, register, shipped
 
 if TYPE_CHECKING:
     import torch
@@ -29,14 +27,9 @@ CARD = TargetInfo(
 )
 
 
-def weights() -> Path:
-    """Returns the path of the weights file that ships with the project."""
-    return Path(str(files("services.targets").joinpath("weights"))) / f"{CARD.name}.safetensors"
-
-
 @register(CARD, lambda: ANSWERS)
 def load(dtype: torch.dtype) -> Target:
     """Loads the network. Raises InvalidRequest("target.name") if its weights are missing or are not this version's."""
     from services.targets.iep.target import read
 
-    return read(CARD.name, weights(), dtype)
+    return read(CARD.name, shipped(f"{CARD.name}.safetensors"), dtype)

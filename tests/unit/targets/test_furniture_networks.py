@@ -2,8 +2,6 @@
 
 import hashlib
 from dataclasses import replace
-from importlib.resources import files
-from pathlib import Path
 
 import pytest
 import torch
@@ -18,12 +16,12 @@ from services.targets import registry
 from services.targets.architectures import fill_by_name
 from services.targets.classifier import Classifier
 from services.targets.image_networks import facts
-from services.targets.info import available
+from services.targets.info import available, shipped
 from services.targets.networks import AlexNet, ResNet
 from services.targets.weights_file import read
 from training.split import committed
 
-WEIGHTS = Path(str(files("services.targets").joinpath("weights")))
+WEIGHTS = shipped("")
 CARDS = {info.name: info for info in available() if info.vocabulary == "furniture-14"}
 
 

@@ -107,13 +107,6 @@ def test_no_folder_is_said(tmp_path: Path, scan: Scan) -> None:
     tmp_path.mkdir()
 
 
-class Shaped(nn.Module):
-    """A network with scores that are not [B, K]."""
-
-    def forward(self, x: Tensor) -> Tensor:
-        return x.mean(dim=(2, 3), keepdim=True)
-
-
 class TwoOutputs(nn.Module):
     def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:
         means = x.mean(dim=(2, 3))
@@ -176,7 +169,6 @@ def more_classes(root: Path) -> None:
 
 
 FOUND_AT_THE_REQUEST: dict[str, tuple[Callable[[Path], None], str]] = {
-    "scores that are no [B, K]": (exported(Shaped()), r"returns torch.float32 \[2, 3, 1, 1\] .* \[2, 3\] is due"),
     "a program of two outputs": (exported(TwoOutputs()), "model.pt2: it returns 2 values"),
     "a program of two inputs": (exported(TwoInputs(), torch.zeros(1, 3)), "model.pt2: it has 2 inputs"),
     "an .onnx with two inputs": (two_inputs, r"model.onnx: it has 2 inputs \(image, mask\); one is due"),
@@ -190,7 +182,6 @@ FOUND_AT_THE_REQUEST: dict[str, tuple[Callable[[Path], None], str]] = {
         net(factory=f"{MODULE}:maite", labels=LABELS[::-1], output="probabilities"),
         "metadata.index2label has 5 labels, which are not",
     ),
-    "probabilities": (net(factory=f"{MODULE}:maite"), 'state "output": "probabilities" in its card'),
     "a factory that fails": (
         net(factory=f"{MODULE}:fails"),
         "small_network:fails fails: OSError: weights.bin is not there",
