@@ -18,7 +18,7 @@ import trimesh
 from client.commands_page import commands, examples
 from services.attacks.run import saved_step
 from tests.integration.conftest import Stack, until
-from tests.integration.specs import ENDLESS, QUICK, long
+from tests.integration.specs import ENDLESS, QUICK, long, scene
 from tests.integration.test_run import small
 from tests.unit.client.command_line import cli
 
@@ -55,7 +55,7 @@ class Reader:
         (folder / "bin/scene-attack").write_text(f'#!/bin/sh\nexec {sys.executable} -m client "$@"\n')
         (folder / "bin/scene-attack").chmod(0o755)
         for file, content in (
-            ("examples/torch-combined.json", small("torch-combined")),
+            ("examples/torch-combined.json", small("torch-combined") | {"scene": scene()}),
             ("examples/image-fgsm.json", small("image-fgsm")),
             ("examples/campaign-small.json", campaign(QUICK)),
             ("spec.json", QUICK),
@@ -116,6 +116,7 @@ def campaign(job: dict[str, Any]) -> dict[str, Any]:
 
 def poses() -> dict[str, Any]:
     spec = small("pyrender-zoo")
+    spec["scene"] = scene() | {"objects": [{"mesh": "primitive/torus"}]}
     spec["attack"] |= {"groups": ["rotation", "translation"]}
     return spec
 
