@@ -93,7 +93,6 @@ def scenes(library: Library) -> dict[str, dict[str, Any]]:
     ball, light = library.add(textured_ball()).name, library.add(Bundle("hdr", MAP, {})).name
     # chair2 is the second model of its name, which a library of it alone would call chair.
     return {
-        "primitive": {"objects": [{"mesh": "primitive/sphere"}]},
         "uploads": {"objects": [{"mesh": ball}], "lights": {"environment": {"map": light}}},
         "furniture": {"objects": [{"mesh": "furniture/chair2"}, {"mesh": "primitive/cube", "scale": 0.4}]},
     }
@@ -102,11 +101,10 @@ def scenes(library: Library) -> dict[str, dict[str, Any]]:
 @pytest.mark.parametrize(
     ("name", "attack"),
     [
-        ("primitive", {"renderer": "torch"}),
         ("uploads", {"renderer": "torch"}),
         ("furniture", {"renderer": "pyrender", "delta": 1e-2, "coordinates": 8}),
     ],
-    ids=["primitive", "uploads", "furniture"],
+    ids=["uploads", "furniture"],
 )
 def test_an_export_is_replayed_from_its_folder_alone(
     library: Library, home: Path, tmp_path: Path, name: str, attack: dict[str, Any]

@@ -23,7 +23,7 @@ EXAMPLES = {
     if {"scene", "generate"} & json.loads(path.read_text()).keys()
 }
 """Requests of one job, not of a campaign."""
-SIZE = 96
+SIZE = 64
 FEW = {"delta": 1e-2, "coordinates": 8}
 """Settings of ZOO with which it asks the network a tenth of its questions."""
 TWICE = {"image-fgsm", "pyrender-zoo", "torch-combined"}
