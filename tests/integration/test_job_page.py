@@ -160,23 +160,6 @@ def changed(part: str) -> str:
     return part.replace('<section class="curves"', '<p id="new">new</p><section class="curves"')
 
 
-def test_a_running_job_s_page_keeps_its_nodes(stack: Stack, page: Page) -> None:
-    job_id = stack.submit(ENDLESS)
-    try:
-        page.goto(f"{stack.client.base_url}/jobs/{job_id}")
-        bar = page.locator("#live progress")
-        expect(bar).to_be_visible()
-        page.locator("#copy-id").focus()
-        now = page.evaluate(
-            "(window.kept = document.querySelector('#copy-id'), document.querySelector('#live progress').value)"
-        )
-        page.wait_for_function("now => document.querySelector('#live progress')?.value > now", arg=now)
-        assert page.evaluate("document.activeElement === window.kept && window.kept.isConnected")
-    finally:
-        stack.client.post(f"/v1/jobs/{job_id}/cancel")
-        stack.ended(job_id)
-
-
 def test_buttons_copy_the_id_and_the_request(stack: Stack, page: Page, job: dict[str, Any]) -> None:
     opened(stack, page, job)
     expect(page.locator(".id code")).to_have_text(job["id"][:8])

@@ -23,7 +23,7 @@ from tests.integration.scene3d_view import (
     radio,
     stored,
 )
-from tests.integration.test_accessibility import AXE, LOOKS, RUN
+from tests.integration.test_accessibility import AXE, LOOKS, serious
 from tests.integration.test_export import textured_glb
 
 pytestmark = pytest.mark.integration
@@ -276,6 +276,5 @@ def test_the_open_view_is_accessible(
     with looking(browser, stack, color_scheme=theme, viewport={"width": width, "height": 900}) as page:
         opened(page, stack, jobs["moved"])
         page.evaluate(AXE)
-        found = [one["id"] for one in page.evaluate(RUN) if one["impact"] in ("serious", "critical")]
-        assert found == []
+        assert serious(page) == []
         assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
