@@ -16,6 +16,8 @@ import httpx
 import psutil
 import pytest
 
+from tests.integration.specs import LASTING
+
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
@@ -73,6 +75,17 @@ class Stack:
 
         found: dict[str, Any] = until(look, f"step {step}")
         return found
+
+    def checkpoint(self, job_id: str) -> None:
+        """Waits until the job has a checkpoint."""
+        until((self.data / "checkpoints" / job_id).exists, "a checkpoint")
+
+    def perturbation(self, job_id: str) -> str:
+        """The hash of the perturbation of a job, once it has succeeded."""
+        assert self.ended(job_id)["state"] == "succeeded"
+        files = self.client.get(f"/v1/jobs/{job_id}/artifacts").json()["items"]
+        (sha256,) = [file["sha256"] for file in files if file["name"] == "perturbation.safetensors"]
+        return str(sha256)
 
     def processes(self, module: str) -> list[psutil.Process]:
         """The stack's living processes that run a module."""
@@ -163,3 +176,9 @@ def browser() -> "Iterator[Browser]":
 def stack(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
     with serving(tmp_path_factory.mktemp("stack") / "data") as stack:
         yield stack
+
+
+@pytest.fixture(scope="session")
+def undisturbed(stack: Stack) -> str:
+    """The hash of the perturbation of `LASTING` that nothing happened to."""
+    return stack.perturbation(stack.submit(LASTING))

@@ -26,5 +26,7 @@ def long(steps: int) -> dict[str, Any]:
     return {"scene": scene(), "goal": {"reach": "tench"}, "attack": attack}
 
 
+LASTING = long(150)
+"""A few seconds of steps: time for a checkpoint, and to be killed in the middle."""
 ENDLESS = long(10_000)
 """Minutes of steps: a test stops it."""

@@ -1,4 +1,7 @@
-"""The files of CONTRIBUTING.md, taken out of it as they stand, in the real stack; and files that are no good."""
+"""Extensions and networks of one's own in the real stack: the files of CONTRIBUTING.md, taken out of it as they stand,
+targets that take memory in each of the ways in which it is counted, an attack that kills its process, folders of
+networks, and what is no good.
+"""
 
 import hashlib
 import json
@@ -7,13 +10,21 @@ import re
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
+from sqlite3 import connect
 from typing import Any
 
 import pytest
 
+from api.main import create_app
+from services.jobs.leases import MAX_ATTEMPTS
+from services.settings import Settings
 from tests.integration.conftest import Stack, serving
 from tests.integration.specs import QUICK, scene
+from tests.unit.api.conftest import serving as served
+from tests.unit.client.command_line import Done, cli, process
+from tests.unit.targets.custom.small_network import LABELS, folder, save_onnx, save_pt2
 
 pytestmark = pytest.mark.integration
 
@@ -64,12 +75,107 @@ def write(folder: Path, files: dict[str, str]) -> Path:
     return folder
 
 
+LIMIT = 3 * 2**30
+SAID = "more memory than SCENE_ATTACK_JOB_MEMORY_BYTES allows a process, 3 GiB"
+TAKES_MEMORY = (
+    FILES["brightest_channel.py"].replace("brightest-channel", "takes-nothing")
+    + '''
+import mmap
+import sys
+
+HELD = []
+"""What the targets of this process have taken."""
+
+
+def reserve():  # as PyTorch's CUDA build does: addresses at which nothing can be read or written
+    HELD.append(mmap.mmap(-1, 64 * 2**30, mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS, prot=0))
+
+
+def torch_block():
+    import torch
+
+    HELD.append(torch.empty(64 * 2**30, dtype=torch.uint8))
+
+
+def numpy_block():
+    import numpy
+
+    HELD.append(numpy.empty(64 * 2**30, numpy.uint8))
+
+
+def pieces():
+    import torch
+
+    [torch.ones(2**27, dtype=torch.uint8) for _ in range(32)]
+
+
+def private_map():
+    HELD.append(mmap.mmap(-1, 64 * 2**30, mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS))
+
+
+def shared_map():
+    HELD.append(mmap.mmap(-1, 4 * 2**30))
+    for start in range(0, 4 * 2**30, 2**26):
+        HELD[-1][start : start + 2**26] = bytes(2**26)
+
+
+def target(name, take, process):
+    @register(CARD.model_copy(update={"name": name}), lambda: LABELS)
+    def load_after_taking(dtype):
+        if process in sys.orig_argv:
+            take()
+        return load(dtype)
+
+
+for take in (reserve, torch_block, numpy_block, pieces, private_map, shared_map):
+    target("job-" + take.__name__, take, "worker.job_process")
+for take in (torch_block, shared_map):
+    target("check-" + take.__name__, take, "services.jobs.warm_process")
+'''
+)
+
+
+DEADLY = """
+import os, signal
+from typing import Literal
+from services.attacks.attack import register
+from services.attacks.fgsm import Fgsm
+
+@register
+class Deadly(Fgsm):
+    method: Literal["deadly"] = "deadly"
+
+    def step(self, problem, state, evaluation):
+        os.kill(os.getpid(), signal.SIGKILL)
+"""
+"""An attack that kills its process at its first step."""
+
+
 @pytest.fixture(scope="module")
-def extended(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
-    """A stack with the files of CONTRIBUTING.md beside files that are no good, and a path where nothing is."""
-    folder = write(tmp_path_factory.mktemp("extensions"), FILES | {name: code for name, (code, _) in BROKEN.items()})
-    paths = os.pathsep.join([str(folder), str(folder / "nowhere.py")])
-    with serving(tmp_path_factory.mktemp("extended") / "data", SCENE_ATTACK_EXTENSIONS=paths) as stack:
+def mine(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A program, the same as ONNX, a folder without a card, and a program whose labels do not fit."""
+    root = tmp_path_factory.mktemp("mine")
+    save_pt2(folder(root, "program") / "model.pt2")
+    save_onnx(folder(root, "onnx") / "model.onnx")
+    (root / "empty").mkdir()
+    save_pt2(folder(root, "short", labels=LABELS[:3]) / "model.pt2")
+    return root
+
+
+@pytest.fixture(scope="module")
+def extended(mine: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
+    """A stack of 3 GiB a process with the files of CONTRIBUTING.md, targets that take memory when they are loaded, an
+    attack that kills its process, files that are no good, a path where nothing is, and the networks of `mine`.
+    """
+    harmful = {"takes_memory.py": TAKES_MEMORY, "deadly.py": DEADLY}
+    files = FILES | harmful | {name: code for name, (code, _) in BROKEN.items()}
+    folder = write(tmp_path_factory.mktemp("extensions"), files)
+    environ = {
+        "SCENE_ATTACK_EXTENSIONS": os.pathsep.join([str(folder), str(folder / "nowhere.py")]),
+        "SCENE_ATTACK_JOB_MEMORY_BYTES": str(LIMIT),
+        "SCENE_ATTACK_TARGETS": str(mine),
+    }
+    with serving(tmp_path_factory.mktemp("extended") / "data", **environ) as stack:
         yield stack
 
 
@@ -129,7 +235,7 @@ def test_a_file_that_is_no_good_is_left_out_and_said_so(extended: Stack) -> None
     ready = extended.client.get("/readyz")
     assert ready.status_code == 200
     said = {one["file"]: one for one in ready.json()["extensions"]}
-    assert set(said) == {*FILES, *BROKEN, "nowhere.py"}
+    assert set(said) == {*FILES, *BROKEN, "takes_memory.py", "deadly.py", "nowhere.py"}
     for name, code in FILES.items():
         assert said[name]["error"] is None
         assert said[name]["adds"] == ADDS[name]
@@ -152,13 +258,105 @@ def test_what_a_file_registered_before_it_failed_is_taken_back(extended: Stack) 
     assert extended.ended(extended.submit(QUICK))["state"] == "succeeded"  # fgsm is still the built-in one
 
 
-def test_jobs_of_an_extension_that_is_gone_stay_in_the_record(tmp_path: Path) -> None:
-    folder = write(tmp_path / "extensions", FILES)
-    with serving(tmp_path / "data", SCENE_ATTACK_EXTENSIONS=str(folder)) as before:
-        job_id = before.submit({"scene": scene()} | JOBS["all three"][0])
-        stored = before.ended(job_id)
-    with serving(tmp_path / "data") as after:
-        assert after.job(job_id) == stored
-        assert [job["id"] for job in after.client.get("/v1/jobs").json()["items"]] == [job_id]
-        assert after.client.get("/").status_code == after.client.get(f"/jobs/{job_id}").status_code == 200
-        assert after.client.get("/readyz").json()["extensions"] == []
+def test_jobs_of_an_extension_that_is_gone_stay_in_the_record(extended: Stack, redis_url: str, tmp_path: Path) -> None:
+    """A copy of the service's folder, served without the extensions."""
+    job_id = extended.submit({"scene": scene()} | JOBS["all three"][0])
+    stored = extended.ended(job_id)
+    done = cli("backup", str(tmp_path / "copy"), SCENE_ATTACK_DATA=str(extended.data))
+    assert done.returncode == 0, done.stderr
+    with served(create_app(Settings(data=tmp_path / "copy", redis_url=redis_url))) as after:
+        assert after.get(f"/v1/jobs/{job_id}").json() == stored
+        assert after.get("/v1/jobs").json()["items"][0]["id"] == job_id
+        assert after.get("/").status_code == after.get(f"/jobs/{job_id}").status_code == 200
+        assert after.get("/readyz").json()["extensions"] == []
+
+
+def test_addresses_that_are_not_used_cost_a_job_nothing(extended: Stack) -> None:
+    process = extended.one("worker.job_process")
+    job = extended.ended(extended.submit(QUICK | {"target": {"name": "job-reserve"}}))
+    assert job["state"] == "succeeded", job["failure"]
+    assert process.memory_info().vms > 64 * 2**30
+
+
+@pytest.mark.parametrize("way", ["torch_block", "numpy_block", "pieces", "private_map", "shared_map"])
+def test_a_job_that_takes_too_much_ends_and_names_the_setting(extended: Stack, way: str) -> None:
+    job = extended.ended(extended.submit(QUICK | {"target": {"name": f"job-{way}"}}))
+    assert job["failure"] == {"kind": "out-of-memory", "detail": f"the job needed {SAID}"}
+    after = extended.ended(extended.submit(QUICK | {"target": {"name": "brightest-channel"}}))
+    assert after["state"] == "succeeded", after["failure"]
+
+
+@pytest.mark.parametrize("way", ["torch_block", "shared_map"])
+def test_a_request_that_takes_too_much_is_refused_before_it_is_a_job(extended: Stack, way: str) -> None:
+    answer = extended.client.post("/v1/jobs", json=QUICK | {"target": {"name": f"check-{way}"}})
+    assert answer.status_code == 422
+    detail = f"rendering it once takes {SAID}; ask for a smaller image, a smaller environment map or fewer objects"
+    assert answer.json()["errors"] == [{"field": "scene", "detail": detail}]
+
+
+def test_a_job_that_kills_its_process_every_time_fails_by_name(extended: Stack) -> None:
+    job_id = extended.submit(QUICK | {"attack": QUICK["attack"] | {"method": "deadly"}})
+    with closing(connect(extended.data / "jobs.sqlite")) as record, record:  # it has died before, and further on
+        record.execute("UPDATE jobs SET lost = ?, furthest = ? WHERE id = ?", (MAX_ATTEMPTS - 2, 1 << 40, job_id))
+    job = extended.ended(job_id)
+    assert (job["state"], job["failure"]["kind"], job["attempt"]) == ("failed", "worker-lost", 2)
+    assert extended.ended(extended.submit(QUICK))["state"] == "succeeded"
+
+
+def test_the_service_says_what_it_found(extended: Stack) -> None:
+    folders = {one["name"]: one for one in extended.client.get("/readyz").json()["targets"]}
+    assert {name: one["error"] is None for name, one in folders.items()} == {
+        "program": True, "onnx": True, "short": True, "empty": False,
+    }  # fmt: skip
+    assert folders["empty"]["error"].startswith("card.json: there is no such file")
+    listed = {one["name"]: one for one in extended.client.get("/v1/targets").json()["items"]}
+    assert listed["program"]["card_sha256"] == folders["program"]["card_sha256"]
+    assert (listed["program"]["differentiable"], listed["onnx"]["differentiable"]) == (True, False)
+    assert "empty" not in listed
+
+
+def test_the_same_network_gives_the_same_adversary_in_both_formats(extended: Stack) -> None:
+    attack = {"renderer": "image", "base_renderer": "pyrender", "method": "square", "epsilon": {"image": 0.3}}
+    jobs = [
+        extended.ended(extended.submit({"scene": scene(48), "target": {"name": name}, "attack": attack}))
+        for name in ("program", "onnx")
+    ]
+    for job in jobs:
+        assert job["state"] == "succeeded", job["failure"]
+        assert job["outcome"]["verified"]
+    one, two = (job["outcome"] for job in jobs)
+    assert (one["before"], one["after"], one["steps"]) == (two["before"], two["after"], two["steps"])
+    assert one["after_confidence"] == pytest.approx(two["after_confidence"], abs=1e-4)
+    provenance = [job["result"]["provenance"] for job in jobs]
+    assert provenance[0]["weights_sha256"] != provenance[1]["weights_sha256"]
+    assert provenance[0]["card_sha256"] == provenance[1]["card_sha256"]
+
+
+@pytest.mark.parametrize(
+    ("name", "said"), [("empty", "is not available: card.json: there is no such file"), ("short", "[2, 3] is due")]
+)
+def test_a_network_that_cannot_be_used_is_refused_before_anything_is_queued(
+    extended: Stack, name: str, said: str
+) -> None:
+    answer = extended.client.post("/v1/jobs", json={"scene": scene(48), "target": {"name": name}, "attack": ON_PIXELS})
+    assert answer.status_code == 422
+    assert said in json.dumps(answer.json(), ensure_ascii=False)
+    assert "target.name" in answer.text
+    assert not [job for job in extended.client.get("/v1/jobs").json()["items"] if job["target"] == name]
+
+
+def test_the_command_line_tries_one(mine: Path) -> None:
+    def check(*arguments: str) -> Done:
+        words = ("targets", "check", *arguments, "--mesh", "primitive/sphere")
+        return process(*words, SCENE_ATTACK_TARGETS=str(mine))
+
+    done = check("onnx", "--json")
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert not found["gradient"]
+    assert "torch.export.save" in found["no_gradient"]
+    assert {answer["label"] for answer in found["answers"]} == set(LABELS)
+    assert "target left out" not in done.stderr
+    done = check("short")
+    assert done.returncode == 2
+    assert "bad input: target.name: target 'short' returns torch.float32 [2, 5]" in done.stderr

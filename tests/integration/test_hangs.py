@@ -8,9 +8,7 @@ import psutil
 import pytest
 
 from tests.integration.conftest import Stack, serving, until
-from tests.integration.specs import QUICK, long
-from tests.integration.test_jobs import perturbation
-from tests.integration.test_recovery import STEPS, checkpoint
+from tests.integration.specs import LASTING, QUICK
 
 pytestmark = pytest.mark.integration
 
@@ -38,17 +36,16 @@ def gone(process: psutil.Process) -> bool:
 
 
 @pytest.mark.parametrize("module", ["worker.job_process", "worker.rq_worker"])
-def test_a_stopped_process_does_not_hold_its_job(stack: Stack, impatient: Stack, module: str) -> None:
-    wanted = perturbation(stack, stack.submit(long(STEPS)))
-    job_id = impatient.submit(long(STEPS))
-    checkpoint(impatient, job_id)
+def test_a_stopped_process_does_not_hold_its_job(impatient: Stack, undisturbed: str, module: str) -> None:
+    job_id = impatient.submit(LASTING)
+    impatient.checkpoint(job_id)
     stopped, runs = impatient.one(module), impatient.one("worker.job_process")
     stop(stopped)
     job = impatient.ended(job_id)
     assert job["state"] == "succeeded"
     # A job process whose worker is stopped goes on, and may be done before the worker is killed.
     assert job["attempt"] >= 2 or module == "worker.rq_worker"
-    assert perturbation(impatient, job_id) == wanted
+    assert impatient.perturbation(job_id) == undisturbed
     until(lambda: gone(stopped) and gone(runs), "what was stopped is killed")
 
 

@@ -77,13 +77,6 @@ def test_processes_stay_warm_between_jobs(stack: Stack) -> None:
     assert stack.one("worker.job_process").pid == before
 
 
-def perturbation(stack: Stack, job_id: str) -> str:
-    assert stack.ended(job_id)["state"] == "succeeded"
-    files = stack.client.get(f"/v1/jobs/{job_id}/artifacts").json()["items"]
-    (sha256,) = [file["sha256"] for file in files if file["name"] == "perturbation.safetensors"]
-    return str(sha256)
-
-
 def test_cancel_stops_a_running_job_within_one_step(stack: Stack) -> None:
     job_id = stack.submit(ENDLESS)
     stack.attacking(job_id, step=3)

@@ -18,7 +18,7 @@ import pytest
 from services.jobs.queue import Queue, connect
 from services.settings import Settings
 from tests import redis_over_tcp
-from tests.integration.conftest import PATIENCE, end, serving, until
+from tests.integration.conftest import PATIENCE, Stack, end, until
 from tests.integration.specs import long
 from tests.postgresql import Postgresql, free_port
 
@@ -36,25 +36,22 @@ f 2 3 4
 """An uploaded mesh, which the workers must have from the store."""
 
 
-def machine(folder: Path) -> dict[str, str]:
-    """The settings of a machine of its own: its data, and its cache without the meshes that others have read."""
+@contextmanager
+def program(folder: Path, *command: str, **environ: str) -> Iterator[Path]:
+    """Runs a part of the service on a machine of its own: its data, and its cache without the meshes that others have
+    read. Ends it on leaving. Yields its log."""
     cache = folder / "cache"
     cache.mkdir(parents=True)
     for entry in Settings().cache_dir.iterdir():
         if entry.name != "meshes":
             (cache / entry.name).symlink_to(entry)
-    return {
+    machine = {
         "SCENE_ATTACK_DATA": str(folder / "data"),
         "SCENE_ATTACK_CACHE": str(cache),
         "SCENE_ATTACK_THREADS": "1",
         "SCENE_ATTACK_CHECK_SECONDS": "120",
     }
-
-
-@contextmanager
-def program(folder: Path, *command: str, **environ: str) -> Iterator[Path]:
-    """Runs a part of the service on a machine of its own, and ends it on leaving. Yields its log."""
-    environ = os.environ | machine(folder) | environ
+    environ = os.environ | machine | environ
     with (folder / "log").open("w") as log:
         process = subprocess.Popen(
             [sys.executable, "-m", "client", *command], env=environ, stderr=log, start_new_session=True
@@ -75,7 +72,7 @@ def results(client: httpx.Client) -> tuple[list[Any], list[Any]]:
     mesh = client.post("/v1/assets", files=files, data={"kind": "obj"}).raise_for_status().json()["name"]
     job = long(25)
     grid = {
-        "scenes": {"meshes": [mesh], "views": [0.1, 0.2, 0.3, 0.4, 0.5, 0.6], "camera": job["scene"]["camera"]},
+        "scenes": {"meshes": [mesh], "views": [0.1, 0.2, 0.3, 0.4], "camera": job["scene"]["camera"]},
         "goal": job["goal"],
         "attacks": [{"name": "image", "attack": job["attack"]}],
         "selection": {"right": False},
@@ -104,25 +101,24 @@ def taken(log: Path) -> int:
 
 
 def test_two_machines_finish_a_campaign_with_the_results_of_one(
-    tmp_path: Path, postgresql_server: Postgresql, s3_url: str
+    stack: Stack, tmp_path: Path, postgresql_server: Postgresql, s3_url: str
 ) -> None:
-    with ExitStack() as stack:
-        redis_url = redis_over_tcp.url(stack.enter_context(redis_over_tcp.running()))
+    with ExitStack() as machines:
+        redis_url = redis_over_tcp.url(machines.enter_context(redis_over_tcp.running()))
         shared = {
             "SCENE_ATTACK_DATABASE_URL": postgresql_server.url(postgresql_server.create()),
             "SCENE_ATTACK_REDIS_URL": redis_url,
             "SCENE_ATTACK_ARTIFACT_URL": s3_url,
         }
         port = free_port()
-        stack.enter_context(program(tmp_path / "api", "api", "--port", str(port), **shared))
-        logs = [stack.enter_context(program(tmp_path / name, "worker", **shared)) for name in ("one", "two")]
-        client = stack.enter_context(httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=PATIENCE))
-        redis = stack.enter_context(connect(redis_url))
+        machines.enter_context(program(tmp_path / "api", "api", "--port", str(port), **shared))
+        logs = [machines.enter_context(program(tmp_path / name, "worker", **shared)) for name in ("one", "two")]
+        client = machines.enter_context(httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=PATIENCE))
+        redis = machines.enter_context(connect(redis_url))
         until(lambda: Queue(redis).live_workers() == 2, "both workers are there", 2 * PATIENCE)
         together = results(client)
         assert all(taken(log) > 0 for log in logs)
         for name in ("api", "one", "two"):
             left = {path.name for path in (tmp_path / name / "data").rglob("*") if path.is_file()}
             assert left <= {"reserve"}, "a machine keeps nothing of jobs that have ended"
-    with serving(tmp_path / "alone" / "data", **machine(tmp_path / "alone")) as alone:
-        assert results(alone.client) == together
+    assert results(stack.client) == together

@@ -9,9 +9,7 @@ import pytest
 
 from services.jobs.files import RESERVE
 from tests.integration.conftest import Stack, serving, until
-from tests.integration.specs import ENDLESS, QUICK, long
-from tests.integration.test_jobs import perturbation
-from tests.integration.test_recovery import STEPS, checkpoint
+from tests.integration.specs import ENDLESS, LASTING, QUICK
 from tests.unit.jobs.test_outages import fill
 
 pytestmark = [pytest.mark.integration, pytest.mark.skipif(os.geteuid() != 0, reason="only root can mount a disk")]
@@ -41,16 +39,15 @@ def refused(stack: Stack, resource: str) -> str | None:
     return str(answer.json()["detail"])
 
 
-def test_a_full_disk_costs_no_job(on_small_disk: Stack, stack: Stack) -> None:
-    wanted = perturbation(stack, stack.submit(long(STEPS)))
-    job_id = on_small_disk.submit(long(STEPS))
-    checkpoint(on_small_disk, job_id)
+def test_a_full_disk_costs_no_job(on_small_disk: Stack, undisturbed: str) -> None:
+    job_id = on_small_disk.submit(LASTING)
+    on_small_disk.checkpoint(job_id)
     file = fill(on_small_disk.data)
     assert "the disk of the data directory is full" in until(lambda: refused(on_small_disk, "storage"), "a refusal")
     until(lambda: "attempt ended by an outage" in on_small_disk.log.read_text(), "the job meets the full disk")
     file.unlink()
     assert on_small_disk.ended(job_id)["state"] == "succeeded"
-    assert perturbation(on_small_disk, job_id) == wanted
+    assert on_small_disk.perturbation(job_id) == undisturbed
     assert not list(on_small_disk.data.rglob("*.part"))
 
 
@@ -59,7 +56,7 @@ def test_a_running_job_is_cancelled_although_the_disk_is_full(on_small_disk: Sta
     until((on_small_disk.data / RESERVE).exists, "space is set aside")
     before = on_small_disk.log.read_text().count("attempt ended by an outage")
     job_id = on_small_disk.submit(ENDLESS)
-    checkpoint(on_small_disk, job_id)
+    on_small_disk.checkpoint(job_id)
     file = fill(on_small_disk.data)
     if met:
         until(lambda: on_small_disk.log.read_text().count("attempt ended by an outage") > before, "it meets the disk")
@@ -72,8 +69,8 @@ def test_a_running_job_is_cancelled_although_the_disk_is_full(on_small_disk: Sta
 def test_a_database_that_is_away_costs_no_job(on_small_disk: Stack) -> None:
     data = on_small_disk.data
     before = on_small_disk.log.read_text().count("attempt ended by an outage")
-    job_id = on_small_disk.submit(long(STEPS))
-    checkpoint(on_small_disk, job_id)
+    job_id = on_small_disk.submit(LASTING)
+    on_small_disk.checkpoint(job_id)
     with sqlite3.connect(data / "jobs.sqlite", timeout=60) as other:
         other.execute("BEGIN IMMEDIATE")
         answer = on_small_disk.client.post("/v1/jobs", json=QUICK)
