@@ -1,7 +1,6 @@
 """Options that are settings, each in a process of its own with a HOME of its own, over variables that say otherwise."""
 
 import os
-import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -14,6 +13,7 @@ import httpx
 import pytest
 
 from tests.integration.machine import Machine
+from tests.postgresql import free_port
 
 pytestmark = pytest.mark.integration
 
@@ -26,12 +26,6 @@ def machine(tmp_path: Path) -> Machine:
 @pytest.fixture
 def folder(tmp_path: Path) -> str:
     return str(tmp_path / "folder")
-
-
-def free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        port: int = free.getsockname()[1]
-        return port
 
 
 def address(log: Iterator[dict[str, Any]]) -> str:
