@@ -8,7 +8,7 @@ import asyncio
 import time
 from collections import Counter, deque
 from collections.abc import AsyncGenerator, Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import aclosing, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -152,23 +152,15 @@ class Watcher:
     async def ended_within(self, job_id: str, seconds: float) -> Job | None:
         """Waits for the end of a job, and returns it with its result; None if it takes more than `seconds`."""
         queued = await run_in_threadpool(self._record.jobs.line, job_id)
-        if queued is None or not await self._ends(queued, seconds):
+        if queued is None:
+            return None
+        try:
+            async with asyncio.timeout(seconds), aclosing(self.events(queued, queued.events)) as events:
+                async for _ in events:
+                    pass  # only their end is of interest
+        except TimeoutError:
             return None
         return await run_in_threadpool(partial(self._record.jobs.get, job_id, with_result=True))
-
-    async def _ends(self, job: Job, seconds: float) -> bool:
-        if job.state.terminal:
-            return True
-
-        async def over() -> None:
-            async for _ in self.events(job, job.events):
-                pass  # only their end is of interest
-
-        try:
-            await asyncio.wait_for(over(), seconds)
-        except TimeoutError:
-            return False
-        return True
 
     @contextmanager
     def _following(self, job: Job) -> Iterator[_Followed]:
