@@ -1,5 +1,5 @@
-"""Texts that people write and read: what names, titles, tags and notes may not have, suggestions for unknown names, and
-numbers with a sign.
+"""Texts that people write and read: what names, titles, tags and notes may not have, suggestions for unknown names,
+numbers with a sign, and errors.
 
 A control character steers a terminal, and a bidirectional override shows a text in another order than it has.
 """
