@@ -1,4 +1,16 @@
-from services.pipeline.result import Attended, first_changed, most_changed
+"""Outcomes of results, and the functions of a question whose attention changed."""
+
+import pytest
+
+from services.pipeline.result import Attended, Outcome, Result, first_changed, most_changed, outcome, success
+from tests.unit.api.dashboard_records import result
+
+
+@pytest.mark.parametrize("word", ["fooled", "changed", "became-right", "still-wrong", "held"])
+@pytest.mark.parametrize("verified", [True, False])
+def test_only_a_verified_fooled_counts_as_a_success(word: str, verified: bool) -> None:
+    found = Result.model_validate(result(outcome=word, verified=verified))
+    assert success(found) == success(Outcome.model_validate(outcome(found))) == (word == "fooled" and verified)
 
 
 def attention(*changes: tuple[float, float]) -> list[Attended]:
