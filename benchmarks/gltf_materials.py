@@ -25,6 +25,7 @@ from benchmarks.page import load, provenance
 from benchmarks.report import RESULTS, save
 from benchmarks.stale import ROOT
 from services.accuracy.tables import table
+from services.rendering.opengl import context
 from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
 from services.scenes.description import Camera, Lights, Scene, SceneObject
 from services.scenes.library import Library
@@ -120,6 +121,7 @@ def stock(views: Sequence[View]) -> list[Image]:
     with tempfile.TemporaryDirectory() as directory:
         requests = [_request(view, Path(directory) / str(k)) for k, view in enumerate(views)]
         command = [sys.executable, "-m", "benchmarks.stock_pyrender"]
+        context.choose_platform()  # in the environment, which the process inherits
         subprocess.run(command, input=json.dumps(requests), text=True, check=True, timeout=300)
         return [np.load(request["out"]) for request in requests]
 
