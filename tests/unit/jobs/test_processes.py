@@ -146,7 +146,7 @@ def test_a_process_that_computes_is_not_still_and_a_stopped_one_is(spinning: "su
     clock = Seconds()
     detector = HangDetector(spinning.pid, clock)
     for _ in range(3):
-        use(spinning.pid, SIGN_SECONDS)
+        use(spinning.pid, 2 * SIGN_SECONDS)  # once would leave the verdict to rounding
         clock.now += 1
         assert detector.seconds() == 0
     os.kill(spinning.pid, signal.SIGSTOP)
