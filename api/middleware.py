@@ -88,7 +88,7 @@ class Measured(HttpMiddleware):
     """Counts requests by the template of their route, and measures the time to the beginning of the answer."""
 
     def __init__(self, app: ASGIApp, metrics: RequestMetrics) -> None:
-        self.app = app
+        super().__init__(app)
         self.metrics = metrics
 
     async def answer(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -250,7 +250,7 @@ class Refuse(HttpMiddleware):
     """Answers a request by the first of `checks` that refuses it."""
 
     def __init__(self, app: ASGIApp, checks: Sequence[Check]) -> None:
-        self.app = app
+        super().__init__(app)
         self.checks = checks
 
     async def answer(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -324,7 +324,7 @@ class BodyLimit(HttpMiddleware):
     """
 
     def __init__(self, app: ASGIApp, uploads: Mapping[str, int]) -> None:
-        self.app = app
+        super().__init__(app)
         self.uploads = uploads
 
     async def answer(self, scope: Scope, receive: Receive, send: Send) -> None:
