@@ -137,10 +137,12 @@ CLASSIFICATION = Page(
         "lite0": curves.differentiable,
         "nondifferentiable": curves.nondifferentiable,
         "equal-p": equal_p.draw,
+        "tolerances": curves.differentiable,
     },
     with_examples=("differentiable", "nondifferentiable"),
     parts={
-        "views": lambda study: tables.views(list(study.records.values())),
+        # The campaign of tolerances takes each view three times.
+        "views": of_all(("differentiable", "lite0", "nondifferentiable", "equal-p"), tables.views),
         "differentiable": of_all(FIRST, tables.differentiable),
         "orders": of_all(FIRST, tables.orders),
         "differentiable curves": curves_of(*FIRST),
@@ -150,6 +152,8 @@ CLASSIFICATION = Page(
         "nondifferentiable": of("nondifferentiable", tables.nondifferentiable),
         "nondifferentiable curves": curves_of("nondifferentiable"),
         "equal p": of("equal-p", equal_p.section),
+        "tolerances": of_all(["tolerances"], tables.work),
+        "tolerance curves": curves_of("tolerances"),
         "examples": shown,
         "foot": foot,
     },

@@ -55,36 +55,27 @@ def stability(
 
 @app.command(
     epilog="Examples: [bold]scene-attack accuracy work-precision[/bold]\n\n"
-    "[bold]scene-attack accuracy work-precision --only scenes --only shadows[/bold]\n\n"
     "[bold]scene-attack accuracy work-precision --quick --out out/accuracy[/bold]"
 )
 def work_precision(
-    quick: Annotated[bool, typer.Option("--quick", help="Smaller images, fewer maps, steps and scenes.")] = False,
-    only: Annotated[
-        list[str] | None,
-        typer.Option(help="A part to measure; the report in the directory keeps its other parts. Repeatable."),
-    ] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="Smaller images and fewer maps.")] = False,
     out: Annotated[Path, typer.Option(help="Directory for work-precision.md and .json.")] = OUT,
     as_json: JsonOption = False,
 ) -> None:
-    """Measure error against run time: plans of each tolerance, options of scenes, whole attacks; write the report.
+    """Measure error against run time: plans of each tolerance, options of scenes; write the report.
 
-    Its seconds mean something only on a machine that does nothing else. The report is written after each part, so that
-    --only measures the others where it was stopped. The parts are shading, maps, shadows, scenes and attacks.
+    Its seconds mean something only on a machine that does nothing else.
     """
     import torch
 
     from client.settings import settings_to_run
-    from services.accuracy.work_precision.report import FULL, PARTS, QUICK, measure
+    from services.accuracy.work_precision import FULL, QUICK, measure, write
 
-    chosen = list(dict.fromkeys(only or []))
-    if unknown := [name for name in chosen if name not in PARTS]:
-        raise typer.BadParameter(f"no part {unknown[0]!r}; there are {', '.join(PARTS)}", param_hint="--only")
     torch.set_num_threads(settings_to_run().threads)
-    words = ["scene-attack accuracy work-precision", *(f"--only {name}" for name in chosen)]
-    words += ["--quick"] * quick + [f"--out {out}"] * (out != OUT)
+    command = "scene-attack accuracy work-precision" + (" --quick" if quick else "")
     with err().status("") as line:
-        result = measure(QUICK if quick else FULL, out, " ".join(words), chosen, line.update)
+        result = measure(QUICK if quick else FULL, command, line.update)
+    write(result, out)
     if as_json:
         print_json(result)
     remark(f"Report in {out}")

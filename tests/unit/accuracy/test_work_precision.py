@@ -6,10 +6,21 @@ from pathlib import Path
 
 import pytest
 
-from services.accuracy.work_precision import scene_options
-from services.accuracy.work_precision.report import PARTS, QUICK, Report, measure, read
-from services.accuracy.work_precision.scene_options import moved
-from services.accuracy.work_precision.shading import GROUPS, REACH, shaded, smooth_weights, subject
+from services.accuracy.work_precision import (
+    GROUPS,
+    OPTION_TOLERANCES,
+    QUICK,
+    SOME_WAY,
+    Report,
+    markdown,
+    measure,
+    moved,
+    scenes,
+    shaded,
+    smooth_weights,
+    subject,
+    write,
+)
 from services.rendering.factory import build
 from services.rendering.torch_renderer import shader, table
 
@@ -18,48 +29,41 @@ pytestmark = pytest.mark.slow
 SMALL = ("furniture/soccer-ball", "brushed-metal", (64, 64), (8, 16))
 
 
-TINY = dataclasses.replace(QUICK, enough=0.0, scene=(24, 32), steps=2, zoo={"steps": 1, "delta": 1e-2})
+TINY = dataclasses.replace(QUICK, enough=0.0, scene=(24, 32))
+PARTS = ["shading", "maps", "shadows", "scenes"]
 NAMES = ["matte objects", "rubber and metal", "floor", "shadows"]
 
 
-@dataclasses.dataclass(frozen=True)
-class Measured:
-    """A report of every part, its folder, and the parts in the order in which they were begun."""
-
-    report: Report
-    folder: Path
-    parts: list[str]
-
-
 @pytest.fixture(scope="module")
-def measured(tmp_path_factory: pytest.TempPathFactory) -> Measured:
-    folder = tmp_path_factory.mktemp("report")
-    parts: list[str] = []
-    return Measured(measure(TINY, folder, "a command", on_part=parts.append), folder, parts)
+def report() -> Report:
+    begun: list[str] = []
+    measured = measure(TINY, "a command", begun.append)
+    assert begun == PARTS
+    return measured
 
 
-def test_the_report_says_everything(measured: Measured) -> None:
-    made, folder = measured.report, measured.folder
-    assert measured.parts == list(PARTS) == list(made.measured)
-    assert read(folder) == made
-    page = (folder / "work-precision.md").read_text("utf-8")
+def test_the_report_says_everything(report: Report, tmp_path: Path) -> None:
+    write(report, tmp_path / "new")
+    assert Report.model_validate_json((tmp_path / "new" / "work-precision.json").read_text("utf-8")) == report
+    page = (tmp_path / "new" / "work-precision.md").read_text("utf-8")
+    assert page == markdown(report)
     headings = [line for line in page.splitlines() if line.startswith("## ")]
     assert headings == [
         *("## Which tolerance", "## Plans", "## Resolution of the environment map"),
         *("## Resolution of shadows", "## Surfaces, floor and shadows"),
-        *("## Work to a verified adversary", "## What is left out", "## How to make this page again"),
+        *("## What is left out", "## How to make this page again"),
     ]
     for above, below in pairwise(headings):
         section = page[page.index(above) : page.index(below)]
         assert ("\n| :---" in section) == (above not in ("## Which tolerance", "## What is left out")), above
-    assert f"`a command`, {made.measured['maps'].when}; load: " in page
+    assert f"`a command`, {report.measured.when}; load: " in page
 
 
 # Shading
 
 
-def test_plans_hold_what_they_promise(measured: Measured) -> None:
-    rows = measured.report.shading
+def test_plans_hold_what_they_promise(report: Report) -> None:
+    rows = report.shading
     assert len(rows) == 32
     for row in rows:
         assert row.largest <= (1e-12 if row.tolerance == "exact" else row.estimate)
@@ -73,7 +77,7 @@ def test_a_wrong_table_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
     renderer = build(scene, "torch", groups=GROUPS, tolerance=1e-2)
     assert any("table" in stage.method for stage in renderer.plan.stages)
     weights = smooth_weights((128, 128))
-    reference = shaded(renderer.exact(), values := moved(renderer, REACH), weights)
+    reference = shaded(renderer.exact(), values := moved(renderer, SOME_WAY), weights)
     monkeypatch.setattr(shader, "displayed_error", lambda *_: 0.0)
     assert float((shaded(renderer, values, weights).image - reference.image).abs().max()) <= renderer.plan.error
     monkeypatch.setattr(shader, "look_up", lambda values, angles: table.look_up(values, angles + 0.05))
@@ -84,7 +88,7 @@ def test_a_wrong_table_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_each_scene_has_one_more_option() -> None:
-    found = dict(scene_options.scenes(TINY.scene))
+    found = dict(scenes(TINY.scene))
     assert list(found) == NAMES
     assert [of.floor is not None for of in found.values()] == [False, False, True, True]
     assert [of.shadows is not None for of in found.values()] == [False, False, False, True]
@@ -93,9 +97,9 @@ def test_each_scene_has_one_more_option() -> None:
         assert all((one.metallic is None) == (name == NAMES[0]) for one in of.objects)
 
 
-def test_every_scene_is_measured_with_both_renderers_within_every_tolerance(measured: Measured) -> None:
-    rows = measured.report.scenes
-    wanted = list(product(NAMES, ("pyrender", "torch"), scene_options.TOLERANCES))
+def test_every_scene_is_measured_with_both_renderers_within_every_tolerance(report: Report) -> None:
+    rows = report.scenes
+    wanted = list(product(NAMES, ("pyrender", "torch"), OPTION_TOLERANCES))
     assert [(row.scene, row.renderer) for row in rows] == [pair[:2] for pair in wanted]
     for row, (*_, tolerance) in zip(rows, wanted, strict=True):
         if tolerance == "exact":

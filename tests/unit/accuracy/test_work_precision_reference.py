@@ -6,9 +6,16 @@ import torch
 from torch import Tensor
 
 from services.accuracy.placing import library
-from services.accuracy.work_precision import scene_options
-from services.accuracy.work_precision.scene_options import moved
-from services.accuracy.work_precision.shading import GROUPS, REACH, shaded, smooth_weights, subject
+from services.accuracy.work_precision import (
+    GROUPS,
+    MATERIALS,
+    SOME_WAY,
+    map_rows,
+    moved,
+    shaded,
+    smooth_weights,
+    subject,
+)
 from services.attacks.problem import generator
 from services.rendering.opengl.gbuffer import rasterise
 from services.rendering.protocol import Parameters
@@ -37,7 +44,7 @@ def differences(scene: ResolvedScene) -> dict[str, float]:
     renderer = TorchRenderer(scene, gbuffer, GROUPS, "exact")
     weights = torch.zeros(gbuffer.coverage.numel(), 3, dtype=torch.float64)
     weights[pixels] = smooth_weights(renderer.size).reshape(-1, 3)[pixels]
-    moved_values = moved(renderer, REACH)
+    moved_values = moved(renderer, SOME_WAY)
     image, gradients = shaded(renderer, moved_values, weights.reshape(*renderer.size, 3))
 
     def seen(values: Parameters) -> dict[str, Tensor]:
@@ -110,8 +117,8 @@ def test_a_reference_that_is_wrong_is_seen(factor: float, monkeypatch: pytest.Mo
 
 def test_larger_maps_are_nearer_to_the_largest() -> None:
     """Matte surfaces average over half the sky, so that they see less of the map's grid than gloss does."""
-    rows = list(scene_options.map_rows("primitive/sphere", (24, 24), 0.0))
-    found = {material: [row.mean for row in rows if row.scene == material] for material in scene_options.MATERIALS}
+    rows = list(map_rows("primitive/sphere", (24, 24), 0.0))
+    found = {material: [row.mean for row in rows if row.scene == material] for material in MATERIALS}
     for errors in found.values():
         assert errors == sorted(errors, reverse=True)
         assert 0 < errors[-1] < errors[0] / 4

@@ -10,8 +10,8 @@ from benchmarks import gltf_materials
 from benchmarks import page as benchmarks_page
 from benchmarks.study.pages import FOLDER, PAGES
 from client import commands_page
+from services.accuracy import work_precision
 from services.accuracy.stability import report as stability
-from services.accuracy.work_precision import report as work_precision
 from services.pipeline import field_tables
 
 DOCS = Path(__file__).parents[3] / "docs"
@@ -19,10 +19,8 @@ ACCURACY = DOCS / "accuracy"
 
 
 def work_precision_page() -> str:
-    """The page of the report of error against run time, written from its JSON."""
-    committed = work_precision.read(ACCURACY)
-    assert committed is not None
-    return work_precision.markdown(committed)
+    report = (ACCURACY / "work-precision.json").read_text("utf-8")
+    return work_precision.markdown(work_precision.Report.model_validate_json(report))
 
 
 def stability_page() -> str:

@@ -203,6 +203,7 @@ def test_an_attack_whose_bounds_differ_is_checked_of_its_own() -> None:
         ("paper-lite0", 360),
         ("paper-equal-p", 520),
         ("paper-nondifferentiable", 210),
+        ("paper-tolerances", 120),
         ("paper-vqa-differentiable", 520),
         ("paper-vqa-nondifferentiable", 24),
     ],
