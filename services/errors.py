@@ -99,6 +99,15 @@ def at_field(field: str) -> Iterator[None]:
 
 
 @contextmanager
+def below(part: str) -> Iterator[None]:
+    """Names the field of an InvalidRequest of the block as one of `part`: "seed" becomes "generate.seed"."""
+    try:
+        yield
+    except InvalidRequest as error:
+        raise InvalidRequest(f"{part}.{error.field}", error.detail) from error
+
+
+@contextmanager
 def named(whose: str) -> Iterator[None]:
     """Turns any error of the block into JobFailure("internal"), which says `whose` it is: "target 'resnet'".
 

@@ -25,7 +25,7 @@ from pydantic import (
 from services.analysis.records import AnalysisRequest
 from services.attacks.attack import Attack
 from services.attacks.request import Seed
-from services.errors import InvalidRequest
+from services.errors import InvalidRequest, below
 from services.pipeline.spec import (
     MOST_TOGETHER,
     AnyAttack,
@@ -234,10 +234,8 @@ def _made(grid: QuestionGrid) -> Iterator[Member]:
     families = [family for family in FAMILIES if not grid.kinds or family.kind in grid.kinds]
     asking = QuestionGenerator(grid.question_seed, families)
     for index in range(grid.first, grid.first + grid.images):
-        try:
+        with below("generate"):
             record = generate(grid.seed, index, objects=grid.objects)
-        except InvalidRequest as error:
-            raise InvalidRequest(f"generate.{error.field}", error.detail) from error
         scene = describe(record, grid.size)
         if not grid.shadows:
             scene = scene.model_copy(update={"shadows": None})

@@ -4,9 +4,9 @@ errors are named by their place in the campaign.
 
 from collections.abc import Callable, Iterator, Mapping
 
-from services.errors import InvalidFields, InvalidRequest
+from services.errors import InvalidFields, InvalidRequest, below
 from services.pipeline.campaign_plan import job_of
-from services.pipeline.campaign_spec import CampaignSpec, Grid, Member, SceneGrid
+from services.pipeline.campaign_spec import CampaignSpec, Grid, SceneGrid
 from services.pipeline.spec import JobSpec
 from services.scenes.description import Scene
 
@@ -81,7 +81,8 @@ def samples(campaign: CampaignSpec) -> Iterator[tuple[JobSpec, Places]]:
     With each come the places of its parts in the campaign, for `placed`.
     """
     for g, grid in enumerate(campaign.grids):
-        member = _sample(grid, f"grids.{g}")
+        with below(f"grids.{g}"):
+            member = grid.sample()
         seen = set()
         for t, target in enumerate(grid.targets):
             for c, column in enumerate(grid.attacks):
@@ -101,13 +102,6 @@ def _kind(job: JobSpec) -> tuple[object, ...]:
     attack = job.attack
     limits = str(attack.bounds), attack.objective, attack.groups
     return job.target.name, attack.renderer, attack.base_renderer, attack.method, *limits
-
-
-def _sample(grid: Grid, place: str) -> Member:
-    try:
-        return grid.sample()
-    except InvalidRequest as error:
-        raise InvalidRequest(f"{place}.{error.field}", error.detail) from error
 
 
 def _places(grid: Grid, place: str, target: int, column: int) -> dict[str, str]:

@@ -12,7 +12,7 @@ from typing import Annotated
 
 from pydantic import Field, ValidationError
 
-from services.errors import InvalidRequest
+from services.errors import InvalidRequest, below
 from services.scenes.clevr.generator import MAX_OBJECTS, check, generate
 from services.scenes.clevr.records import (
     IMAGE_SIZE,
@@ -199,10 +199,8 @@ class Generate(Model):
 
     def record(self) -> SceneRecord:
         """Returns the scene. Raises InvalidRequest("generate.objects") if so many objects do not fit."""
-        try:
+        with below("generate"):
             return generate(self.seed, self.index, objects=(self.objects, self.objects))
-        except InvalidRequest as error:
-            raise InvalidRequest(f"generate.{error.field}", error.detail) from error
 
 
 def scene_of(record: SceneRecord) -> Scene:
@@ -223,10 +221,8 @@ def scene_of(record: SceneRecord) -> Scene:
     rig = rig_of(record)
     if hypot(*rig.camera[:2]) < LEAST_ASIDE:
         raise InvalidRequest("record.camera.position", "it is straight above or below the origin, which it looks at")
-    try:
+    with below("record"):
         check(record.objects, rig)
-    except InvalidRequest as error:
-        raise InvalidRequest(f"record.{error.field}", error.detail) from error
     try:
         scene = describe(record)
     except ValidationError as error:
