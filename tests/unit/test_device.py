@@ -1,5 +1,8 @@
 """The device of the setting: networks and the torch renderer compute there, attacks remember on the CPU."""
 
+import os
+import subprocess
+import sys
 from collections.abc import Iterator
 from math import isfinite
 from pathlib import Path
@@ -58,6 +61,15 @@ def test_every_command_that_computes_refuses_it(command: str, monkeypatch: pytes
     assert isinstance(done.exception, InvalidRequest), done.output
     assert done.exception.field == "SCENE_ATTACK_DEVICE=cuda:99"
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("module", ["worker.job_process", "benchmarks.attack_bounds", "training.training"])
+def test_torch_is_loaded_after_the_setting_that_keeps_its_threads_from_spinning(module: str) -> None:
+    """`services` makes it. With two threads on a core that something else uses, an attack took 20 times as long."""
+    program = f"import sys, {module}; print(*(name for name in sys.modules if name in ('services', 'torch')))"
+    environment = {name: value for name, value in os.environ.items() if name != "OMP_WAIT_POLICY"}
+    done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True)
+    assert done.stdout.split()[0] == "services"
 
 
 def test_auto_is_a_device_that_is_there() -> None:
