@@ -3,11 +3,10 @@
 docs/reports/benchmarks.md says what is compared, and how.
 """
 
-import argparse
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
+from itertools import product
 from typing import Any
 
 import torch
@@ -22,7 +21,6 @@ from services.attacks.goal import ResolvedGoal
 from services.attacks.limits import Limits
 from services.attacks.problem import AttackProblem, at_random_start, differentiate, evaluate
 from services.attacks.run import AttackRun, Verifier, run_attack
-from services.errors import InvalidRequest
 from services.pipeline.prepare import prepare
 from services.pipeline.spec import parse
 from services.rendering.color import from_bytes, to_bytes
@@ -34,6 +32,11 @@ from services.targets.protocol import Target
 AZIMUTHS = (0.61, -0.61, 1.2)
 """Views of each model, until there are enough that the network gets right."""
 SEEDS = (0, 1)
+IMAGES = 30
+EPSILON, SQUARE_EPSILON = 2, 16
+"""ε of the gradient methods and of Square, in 1/255."""
+STEPS, QUERIES = 10, 80
+"""Steps of APGD, and the most queries of Square."""
 
 
 @dataclass(frozen=True)
@@ -165,53 +168,42 @@ def row(name: str, case: Case, images: Tensor, queries: float | None = None) -> 
     return counts | {"margin": float(margin.mean()), "queries": queries}
 
 
-def right_images(library: Library, count: int) -> tuple[Tensor, Tensor, list[str]]:
-    """The first `count` views that the network gets right: 8-bit images, labels, and the views' names."""
+def right_images(library: Library) -> tuple[Tensor, Tensor, list[str]]:
+    """The first IMAGES views that the network gets right: 8-bit images, labels, and the views' names."""
     images, labels, names = [], [], []
-    for azimuth in AZIMUTHS:
-        for mesh, label in json.loads(VIEWS.read_text("utf-8"))["views"]:
-            if len(images) == count:
-                break
-            scene = {"objects": [{"mesh": mesh}], "camera": {"azimuth": azimuth}}
-            try:
-                prepared = prepare(parse({"scene": scene, "goal": {"leave": label}}), library)
-            except InvalidRequest:
-                continue
+    for azimuth, (mesh, _) in product(AZIMUTHS, json.loads(VIEWS.read_text("utf-8"))["views"]):
+        scene = {"objects": [{"mesh": mesh}], "camera": {"azimuth": azimuth}}
+        prepared = prepare(parse({"scene": scene}), library)
+        label = int(prepared.original.logits.argmax())
+        if label in prepared.settled.truth:
             images.append(prepared.original.saved)
-            labels.append(int(prepared.original.logits.argmax()))
+            labels.append(label)
             names.append(f"{mesh} at {azimuth:g}")
+        if len(images) == IMAGES:
+            break
     return torch.stack(images), torch.tensor(labels), names
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Runs the comparison; see --help."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--images", type=int, default=32, help="number of images (default 32)")
-    parser.add_argument("--epsilon", type=int, default=2, help="ε of the gradient methods in 1/255 (default 2)")
-    parser.add_argument("--steps", type=int, default=20, help="steps of APGD (default 20)")
-    parser.add_argument("--square-epsilon", type=int, default=12, help="ε of Square in 1/255 (default 12)")
-    parser.add_argument("--queries", type=int, default=150, help="queries of Square (default 150)")
-    parser.add_argument("--out", type=Path, default=RESULTS / "peer_attacks.json")
-    options = parser.parse_args(arguments)
+def main() -> None:
+    """Runs the comparison."""
     reach()
     settings = settings_to_run()
     torch.set_num_threads(settings.threads)
     target, plain = registry.load("efficientnet-lite0"), Lite0(torch.channels_last)
-    saved, labels, names = right_images(Library(settings.cache_dir, settings.data_dir), options.images)
-    case = Case(saved, labels, options.epsilon / 255, target, plain)
-    wide = replace(case, epsilon=options.square_epsilon / 255)
-    attacked = one_step_and_momentum(case, 0.25 * case.epsilon, 8) | apgd(case, options.steps)
+    saved, labels, names = right_images(Library(settings.cache_dir, settings.data_dir))
+    case = Case(saved, labels, EPSILON / 255, target, plain)
+    wide = replace(case, epsilon=SQUARE_EPSILON / 255)
+    attacked = one_step_and_momentum(case, 0.25 * case.epsilon, 8) | apgd(case, STEPS)
     rows = [row("none", case, saved)]
     for name, images in attacked.items():
         rows.append(row(name, case, images))
     for who, square in (("ours", our_square), ("torchattacks", torchattacks_square)):
         for seed in SEEDS:
-            rows.append(row(f"Square, {who}, seed {seed}", wide, *square(wide, options.queries, seed)))
-    save(
-        options.out, __doc__ or "", target.backend, SEEDS[0], rows=rows, views=names,
-        settings={"epsilon": options.epsilon, "steps": options.steps, "square epsilon": options.square_epsilon,
-                  "queries": options.queries, "seeds": SEEDS},
-    )  # fmt: skip
+            rows.append(row(f"Square, {who}, seed {seed}", wide, *square(wide, QUERIES, seed)))
+    used = {
+        "epsilon": EPSILON, "steps": STEPS, "square epsilon": SQUARE_EPSILON, "queries": QUERIES, "seeds": SEEDS
+    }  # fmt: skip
+    save(RESULTS / "peer_attacks.json", __doc__ or "", target.backend, SEEDS[0], rows=rows, views=names, settings=used)
 
 
 if __name__ == "__main__":
