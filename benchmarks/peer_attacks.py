@@ -3,6 +3,7 @@
 docs/reports/benchmarks.md says what is compared, and how.
 """
 
+import argparse
 import json
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -185,7 +186,8 @@ def right_images(library: Library) -> tuple[Tensor, Tensor, list[str]]:
 
 
 def main() -> None:
-    """Runs the comparison."""
+    """Runs the comparison; see --help."""
+    argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
     reach()
     settings = settings_to_run()
     torch.set_num_threads(settings.threads)

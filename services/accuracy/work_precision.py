@@ -23,7 +23,7 @@ from services.accuracy.tables import rows_as_json, small, table
 from services.attacks.problem import generator
 from services.rendering.factory import build
 from services.rendering.opengl.gbuffer import rasterise
-from services.rendering.plan import Tolerance, image_error
+from services.rendering.plan import DEFAULT_TOLERANCE, Tolerance, image_error
 from services.rendering.protocol import Parameters, Renderer
 from services.rendering.pyrender_renderer.planner import MEASURED_REACH
 from services.rendering.torch_renderer.planner import MAX_PERTURBATION
@@ -243,10 +243,12 @@ OPTION_TOLERANCES: tuple[Tolerance, ...] = (1e-2, 1e-3, "exact")
 def map_rows(mesh: str, size: tuple[int, int], enough: float) -> Iterator[OptionRow]:
     """Every material under every size of the studio map, by the torch renderer."""
     for material in MATERIALS:
-        scenes = {
-            f"{rows}×{columns} texels": subject(mesh, material, size, (rows, columns)) for rows, columns in MAP_SIZES
-        }
+        scenes = {f"{_grid(texels)} texels": subject(mesh, material, size, texels) for texels in MAP_SIZES}
         yield from _beside_the_first(material, "torch", scenes, enough)
+
+
+def _grid(texels: tuple[int, int]) -> str:
+    return f"{texels[0]}×{texels[1]}"
 
 
 def shadow_rows(size: tuple[int, int], enough: float) -> Iterator[OptionRow]:
@@ -346,15 +348,12 @@ def _time_of(work: Callable[[], object]) -> float:
 # The page
 
 NAME = "work-precision"
-DEFAULT = 1e-3
-"""The tolerance of a job that names none."""
 DEFAULT_MAP = (16, 32)
-DEFAULT_MAP_SETTING = "16×32 texels"
 EXACTLY = 1e-12
 """Largest error of a plan that estimates none: its sum is the reference's."""
 
-TOLERANCE = f"""The default, {DEFAULT:g}, is a quarter of a step of 8 bits. The verdict is on the exact image at every
-tolerance: an error may cost an attack steps, but nothing is verified because of it.
+TOLERANCE = f"""The default, {DEFAULT_TOLERANCE:g}, is a quarter of a step of 8 bits. The verdict is on the exact image
+at every tolerance: an error may cost an attack steps, but nothing is verified because of it.
 [The study](../study/classification.md#which-tolerance) says how many attacks succeed at each. `exact` is for studies
 of gradients and comparisons with other programs."""
 
@@ -364,7 +363,7 @@ way into an attack. Where a table was tried and its check failed, the note says 
 
 MAPS = f"""A scene's light is its map averaged down to a grid of `size`; every other error on this page is for the grid
 as it is given. Differences of displayed values between exact images, from the image under one of
-{MAP_SIZES[0][0]}×{MAP_SIZES[0][1]}:"""
+{_grid(MAP_SIZES[0])}:"""
 
 SHADOWS_TEXT = """Exact images beside those with the finest shadows; differences of displayed values over covered
 pixels. Settings are fields of `scene.shadows`. Seconds are of an image and of what its renderer prepares for it, which
@@ -415,10 +414,11 @@ def _tolerances(report: Report) -> str:
     """Advice on the choice of a tolerance, from the rows."""
     plans = report.shading
     held = sum(row.largest <= max(row.estimate, EXACTLY) for row in plans)
-    of_map = max(row.largest for row in report.maps if row.setting == DEFAULT_MAP_SETTING)
+    setting = f"{_grid(DEFAULT_MAP)} texels"
+    of_map = max(row.largest for row in report.maps if row.setting == setting)
     return (
         f"- The largest error of an image was within the plan's estimate in {held} of {len(plans)} plans.\n"
-        f"- A map of {DEFAULT_MAP_SETTING} is off by up to {of_map:.2g}: enlarge it before you lower the tolerance."
+        f"- A map of {setting} is off by up to {of_map:.2g}: enlarge it before you lower the tolerance."
     )
 
 
@@ -432,7 +432,7 @@ def _groups(groups: Sequence[str]) -> str:
 
 PLAN_COLUMNS: dict[str, Callable[[ShadingRow], str]] = {
     "object": lambda row: row.object,
-    "map": lambda row: f"{row.map[0]}×{row.map[1]}",
+    "map": lambda row: _grid(row.map),
     "attacked": lambda row: _groups(row.groups),
     "tolerance>": lambda row: f"{row.tolerance:g}" if isinstance(row.tolerance, float) else row.tolerance,
     "largest>": lambda row: small(row.largest),
