@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
-from statistics import median_low
+from statistics import median
 from typing import Any, get_args
 
 from benchmarks.study.record import Asked, Job, Record
@@ -126,7 +126,7 @@ def nondifferentiable(record: Record, task: str = CLASSIFICATION) -> str:
                         *map(_bold, _counts(cell.success)),
                         loop,
                         milli(cell.perceptibility),
-                        _number(median_low(queries) if queries else None, 0),
+                        _number(median(queries) if queries else None, 0),
                         f"{sum(lowered)}{OF}{len(lowered)}" if lowered else NONE,
                     ]
                 )
@@ -433,9 +433,9 @@ def _sure(jobs: Sequence[Job]) -> str:
 
 def _far(jobs: Sequence[Job]) -> str:
     values = [job.p for job in jobs if job.p is not None]
-    return milli(median_low(values) if values else None)
+    return milli(median(values) if values else None)
 
 
 def _middle(shares: Iterable[float]) -> str:
     values = list(shares)
-    return f"{100 * median_low(values):.0f}\u00a0%" if values else NONE
+    return f"{100 * median(values):.0f}\u00a0%" if values else NONE
