@@ -24,7 +24,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from client.settings import unknown_variables
 from services.errors import InvalidRequest, JobFailure, printable, summary, without_folders
 from services.pipeline.extensions import set_up
-from services.process import options
+from services.process import options, program
 from services.settings import Settings
 
 Level = Literal["ok", "warn", "fail"]
@@ -225,7 +225,7 @@ def additions(settings: Settings) -> Iterator[Finding]:
 
 def trial(settings: Settings) -> Iterator[Finding]:
     """Tries the device, OpenGL, the kernels and the default network, in another process."""
-    command = [sys.executable, "-m", "client.checkup"]
+    command = program("client.checkup")
     environ = os.environ | settings.environ()
     try:
         done = subprocess.run(command, env=environ, capture_output=True, text=True, timeout=TRIAL_SECONDS, check=False)

@@ -9,6 +9,7 @@ The API checks the setting of the device, too, and it loads no torch: nothing he
 
 import os
 import platform
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -36,6 +37,14 @@ class ProcessOptions:
     kernel_dir: Path
     gl: str
     device: str
+
+
+def program(module: str, *arguments: str) -> list[str]:
+    """The command that runs a module of ours by this Python.
+
+    -P: a user's own `client.py` or `services.py` in the folder where the command is given is not taken for ours.
+    """
+    return [sys.executable, "-P", "-m", module, *arguments]
 
 
 _options: ProcessOptions | None = None

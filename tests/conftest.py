@@ -93,6 +93,12 @@ def postgresql_url(postgresql_server: Postgresql, postgresql_database: str) -> s
     return postgresql_server.url(postgresql_database)
 
 
+@pytest.fixture
+def children_of_tests(monkeypatch: pytest.MonkeyPatch, pytestconfig: pytest.Config) -> None:
+    """Processes of the product run modules of the tests, too, although they do not look in the current folder."""
+    monkeypatch.setenv("PYTHONPATH", str(pytestconfig.rootpath))
+
+
 @pytest.fixture(scope="session")
 def s3_server() -> Iterator[str]:
     """A stand-in for S3, for this process and those that it starts; the URL of a bucket."""

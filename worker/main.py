@@ -16,7 +16,7 @@ from services.jobs.queue import Queue, reconcile
 from services.jobs.queue import connect as connect_redis
 from services.jobs.record import Record
 from services.logs import configure, logger
-from services.process import check_device, use
+from services.process import check_device, program, use
 from services.settings import Settings
 from worker.supervisor import Program, Supervisor
 
@@ -54,7 +54,7 @@ def _worker(index: int, values: Settings, record: Record) -> Program:
     def command() -> list[str]:
         nonlocal name
         name = f"{socket.gethostname()[:60]}-{index}-{secrets.token_hex(4)}"
-        return [sys.executable, "-m", "worker.rq_worker", name]
+        return program("worker.rq_worker", name)
 
     def ended() -> None:
         try:

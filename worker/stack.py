@@ -10,7 +10,6 @@ import json
 import os
 import shutil
 import socket
-import sys
 import tempfile
 from contextlib import suppress
 from pathlib import Path
@@ -29,7 +28,7 @@ from services.jobs.database import migrate
 from services.jobs.queue import connect as connect_redis
 from services.jobs.record import Record
 from services.logs import configure, logger
-from services.process import check_device, use
+from services.process import check_device, program, use
 from services.settings import Settings
 from worker.main import housekeeping, workers
 from worker.supervisor import Program, Supervisor
@@ -102,7 +101,7 @@ def _check_redis(url: str) -> None:
 def _api(values: Settings, listener: socket.socket) -> Program:
     # The supervisor owns the socket. It stays open while the API restarts, so that requests wait instead of failing.
     fd = listener.fileno()
-    command = [sys.executable, "-m", "api.main", str(fd)]
+    command = program("api.main", str(fd))
     return Program("api", lambda: command, values.environ(), fds=[fd], silent_seconds=values.stall_seconds)
 
 

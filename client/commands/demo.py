@@ -14,6 +14,7 @@ import typer
 
 from client.console import FittedTable, err, remark, say, state_text
 from services.errors import JobFailure
+from services.process import program
 
 if TYPE_CHECKING:
     from api.schemas import JobView
@@ -175,7 +176,7 @@ def running_service(data: Path, environ: dict[str, str]) -> Iterator[tuple[str, 
     log = data / "service.log"
     with log.open("ab") as errors:
         process = subprocess.Popen(
-            [sys.executable, "-m", "client", "serve"],
+            program("client", "serve"),
             env=os.environ | environ | {"SCENE_ATTACK_DATA": str(data)},
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,

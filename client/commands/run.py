@@ -123,9 +123,10 @@ def keep_memory() -> None:
     import sys
 
     from services.jobs.processes import ALLOCATOR
+    from services.process import program
 
     if not ALLOCATOR.keys() <= os.environ.keys():
-        os.execve(sys.executable, [sys.executable, "-m", "client", *sys.argv[1:]], os.environ | ALLOCATOR)
+        os.execve(sys.executable, program("client", *sys.argv[1:]), os.environ | ALLOCATOR)
 
 
 def library(settings: "Settings") -> "Library":

@@ -28,6 +28,7 @@ from typing import Any
 
 from services.confinement import die_with_parent, forbid_new_privileges
 from services.pipeline.spec import DEFAULT_TARGET
+from services.process import program
 from services.scenes.reading.isolated import READING_BYTES
 from services.settings import Settings
 
@@ -65,7 +66,7 @@ class OutOfMemory(Exception):
 class Child:
     """The parent's end of the pipe. Only `end` is thread-safe, and only one request may be open at a time.
 
-    The child runs `python -m module`, which reads requests with `requests()` and answers with `reply()`. It limits its
+    The child runs `program(module)`, which reads requests with `requests()` and answers with `reply()`. It limits its
     own data (`limit_memory`); what that does not count, such as shared memory, is looked at from here.
     """
 
@@ -74,7 +75,7 @@ class Child:
         environ = os.environ | settings.environ() | ALLOCATOR
         self._connection = ours
         self._process = subprocess.Popen(
-            [sys.executable, "-m", module, str(theirs.fileno())],
+            program(module, str(theirs.fileno())),
             pass_fds=[theirs.fileno()],
             env=environ,
             stdin=subprocess.DEVNULL,

@@ -3,7 +3,6 @@
 import os
 import signal
 import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -16,6 +15,7 @@ import httpx
 import psutil
 import pytest
 
+from services.process import program
 from tests.integration.specs import LASTING
 
 if TYPE_CHECKING:
@@ -127,7 +127,7 @@ def serving(data: Path, **environ: str) -> Iterator[Stack]:
     with (
         log.open("a") as errors,
         subprocess.Popen(
-            [sys.executable, "-m", "client", "serve"],
+            program("client", "serve"),
             env=os.environ | environ,
             stdout=subprocess.PIPE,
             stderr=errors,

@@ -9,7 +9,6 @@ import json
 import os
 import socket
 import subprocess
-import sys
 import threading
 from collections.abc import Iterable, Mapping
 from functools import lru_cache
@@ -25,6 +24,7 @@ from safetensors.numpy import load, save
 import services
 from services.errors import InvalidRequest, JobFailure
 from services.logs import logger
+from services.process import program
 from services.scenes.bundle import MAX_FILES, Up, clean_name
 from services.scenes.description import Finite, Unit
 from services.scenes.image_file import MAX_PIXELS
@@ -307,7 +307,7 @@ class IsolatedReader:
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with theirs:
             self._server = subprocess.Popen(
-                [sys.executable, "-m", "services.scenes.reading.process", str(theirs.fileno())],
+                program("services.scenes.reading.process", str(theirs.fileno())),
                 pass_fds=[theirs.fileno()],
                 env=_environment(),
                 cwd="/",

@@ -25,7 +25,7 @@ from services.jobs.processes import (
 )
 from services.settings import Settings
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("children_of_tests")]
 
 
 ECHO = "tests.unit.jobs.echo_child"

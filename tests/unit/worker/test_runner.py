@@ -21,7 +21,7 @@ from tests.unit.jobs.records import add, start
 from worker import rq_worker
 from worker.rq_worker import Runner
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("children_of_tests")]
 
 
 class Stage:
