@@ -44,6 +44,7 @@ DEPENDS: dict[str, tuple[str, ...]] = {
     "benchmarks/results/attack_bounds.json": ("torch", LITE0),
     "benchmarks/results/gltf_materials.json": ("pyrender",),
     "benchmarks/results/jobs.json": (*BOTH, LITE0),
+    "benchmarks/results/known_errors.json": ("torch", LITE0),
     "benchmarks/results/peer_attacks.json": ("pyrender", LITE0),
     "benchmarks/results/service_record.json": (),
     "benchmarks/results/shading.json": ("torch",),
