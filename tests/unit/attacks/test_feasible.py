@@ -150,3 +150,11 @@ def test_every_method_stays_within_epsilon() -> None:
     found = attack(case, rates, steps=4)
     assert float(found.stored["a"].abs().max()) == pytest.approx(0.015)
     assert float(found.stored["b"].abs().max()) <= 0.01
+
+
+def test_backtracking_keeps_half_a_bit_from_the_limit() -> None:
+    """The plan's error, at most a quarter of a bit by default, and the rounding may take the exact image that far."""
+    original = torch.full((1, 2, 2, 3), 0.5, dtype=torch.float64)
+    limit = 18 / 255
+    within, beyond = (limits(backtrack=limit).reached(original + bits / 255, original) for bits in (17.45, 17.55))
+    assert within < 1 < beyond

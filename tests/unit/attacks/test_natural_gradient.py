@@ -102,6 +102,25 @@ def test_the_first_step_changes_the_image_by_the_radius_and_a_failed_one_is_cut(
     assert float(second @ first) > 0
 
 
+def test_after_a_failed_step_the_metric_counts_less_and_after_a_good_one_more() -> None:
+    """The angle to the direction of a huge damping, which ignores how coordinates act together."""
+    case = opaque()
+    look = guided(case, case.start)
+    state = SETTINGS.step(case, SETTINGS.init(case), look)
+    assert look.gradient is not None
+    assert look.metric is not None
+    alone = steepest(look.gradient.double(), look.metric, 1e9)
+
+    def turned(objective: float) -> float:
+        after = replace(look, step=1, objective=look.objective + objective)
+        step = SETTINGS.step(case, state, after)["delta"] - case.start
+        return float(step @ alone / step.norm() / alone.norm())
+
+    failed, first, good = turned(1.0), float(torch.cosine_similarity(state["delta"] - case.start, alone, 0)), turned(-1)
+    assert failed - first > 0.01
+    assert first - good > 0.005
+
+
 def test_it_lowers_the_objective_more_than_signs_do_at_the_same_p() -> None:
     """Both are pulled back to the same largest p, with twelve queries each."""
     falls = {}

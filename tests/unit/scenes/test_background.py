@@ -62,6 +62,18 @@ def test_the_middle_of_the_image_is_the_texel_that_the_camera_looks_at(azimuth: 
     assert np.array_equal(seen, np.round(seen * 255) / 255)
 
 
+@pytest.mark.parametrize("azimuth", [0.2, 1.7, -2.1])
+def test_between_texels_a_map_is_a_straight_line(azimuth: float) -> None:
+    """Radiance that is linear in the azimuth around what the camera looks at: half a texel off is 6 of 255 off."""
+    cols = 16
+    towards = azimuth + pi
+    away = np.mod((np.arange(cols) + 0.5) * 2 * pi / cols - towards + pi, 2 * pi) - pi
+    linear = (0.4 + 0.1 * away).astype(np.float32)
+    seen = displayed_map(np.repeat(linear[None, :, None], 8, 0).repeat(3, 2), 1.0, 0.0, clip_from_world(azimuth), SIZE)
+    middle = seen[:, 29:31, 0].mean()
+    assert abs(middle - to_display(np.array(0.4))) < 1.5 / 255  # the two columns are half a pixel aside, and rounded
+
+
 def test_up_is_up_and_right_is_right() -> None:
     rows = np.linspace(0, 1, 90, dtype=np.float32)  # dark above, bright below
     vertical = displayed_map(np.repeat(rows[:, None, None], 8, 1).repeat(3, 2), 1.0, 0.0, clip_from_world(0.4), SIZE)

@@ -9,8 +9,9 @@ import pytest
 import torch
 from torch import Tensor
 
+from services.rendering.plan import ImageError
 from services.rendering.pyrender_renderer import renderer as pyrender_renderer
-from services.rendering.pyrender_renderer.planner import LARGEST_STEP
+from services.rendering.pyrender_renderer.planner import LARGEST_STEP, estimated, refusal
 from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
 from services.scenes.description import Lights, PointLight
 from services.scenes.mesh import Part
@@ -126,3 +127,17 @@ def test_insides_and_the_rest_of_the_frame_change_no_bit() -> None:
     [pixels] = [[item.kept, item.of] for item in by_opengl.plan.items if item.what == "pixels"]
     assert 0 < pixels[0] < pixels[1]
     assert torch.equal(by_opengl.radiance({}), by_opengl.exact().radiance({}))
+
+
+@pytest.mark.parametrize(("mean", "share", "draws"), [(0.45, 0.45, True), (0.55, 0.1, False), (0.1, 0.55, False)])
+def test_the_rasteriser_draws_only_if_twice_its_error_is_within_the_tolerance(
+    mean: float, share: float, *, draws: bool
+) -> None:
+    """A tolerance t allows a mean error of t, and a share of 10 t of the pixels (docs/how-it-works.md)."""
+    assert (refusal(ImageError(mean * 1e-3, share * 1e-2), (), 1e-3) is None) == draws
+
+
+def test_an_estimated_share_of_pixels_is_at_most_all_of_them() -> None:
+    small = estimated(ImageError(1e-4, 1e-3), 3)
+    assert small.share == 1.0
+    assert 2e-4 < small.mean <= 1.0
