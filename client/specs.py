@@ -42,14 +42,20 @@ def read_job(spec: str, settings: "Settings", seed: int | None = None) -> "JobSp
     """
     from services.pipeline.spec import parse
 
-    return parsed(parse, read(spec, seed), folder_of(spec), settings)
+    data = read(spec, seed)
+    if data.keys() & {"grids", "jobs"}:
+        raise InvalidRequest("SPEC", f"{spec} is a campaign; `scene-attack campaign run {spec}` runs it")
+    return parsed(parse, data, folder_of(spec), settings)
 
 
 def read_campaign(spec: str, settings: "Settings") -> "CampaignSpec":
     """The campaign in the file `spec`; as `read_job`."""
     from services.pipeline.campaign_spec import parse
 
-    return parsed(parse, read(spec), folder_of(spec), settings)
+    data = read(spec)
+    if "scene" in data:
+        raise InvalidRequest("SPEC", f"{spec} is a job; `scene-attack run {spec}` runs it")
+    return parsed(parse, data, folder_of(spec), settings)
 
 
 def parsed(parse: Callable[[Any, "Names"], Spec], data: dict[str, Any], folder: Path, settings: "Settings") -> Spec:

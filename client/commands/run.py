@@ -171,7 +171,7 @@ def replay(
         yes(again.same_backend),
         yes(same),
     ]
-    columns = ("stored", "rendered again", "fooled", "pixels differing>", "same backend", "reproduced")
+    columns = ("stored", "rendered again", "goal met", "pixels differing>", "same backend", "reproduced")
     print_found(again.model_dump(mode="json") | {"reproduced": same}, FittedTable(columns, [row]), as_json)
     if not same:
         raise typer.Exit(1)

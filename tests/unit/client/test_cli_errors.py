@@ -156,6 +156,20 @@ def test_every_wrong_field_has_a_line(tmp_path: Path) -> None:
     assert found["scene.camera.elevation"].endswith("; 90 looks like degrees: π/2 is 1.5708")
 
 
+@pytest.mark.parametrize(
+    ("command", "spec", "instead"),
+    [
+        ("run", "examples/campaign-small.json", "is a campaign; `scene-attack campaign run"),
+        ("campaign run", "examples/torch-combined.json", "is a job; `scene-attack run"),
+    ],
+)
+def test_a_job_is_no_campaign(command: str, spec: str, instead: str, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    code, text = said(*command.split(), spec, "--out", str(out))
+    assert (code, text) == (2, f"bad input: SPEC: {spec} {instead} {spec}` runs it")
+    assert not out.exists()
+
+
 def test_every_wrong_setting_has_a_line() -> None:
     wrong = {"SCENE_ATTACK_PORT": "http", "SCENE_ATTACK_WORKERS": "0", "SCENE_ATTACK_HOSTS": "https://me.example/"}
     done = cli("serve", **wrong)
