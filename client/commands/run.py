@@ -149,9 +149,10 @@ def replay(
     directory: Annotated[Path, typer.Argument(help="The directory that `run --out` or `export` wrote.")],
     as_json: JsonOption = False,
 ) -> None:
-    """Render a stored perturbation again and compare label and image with the stored ones.
+    """Render the original and the perturbed scene again, and compare them with what is stored.
 
-    The exit code is 0 if the labels agree and, on the same backend, no pixel differs; otherwise it is 1.
+    Compared are both images, the network's answers to them, p, and whether the goal is met. The exit code is 0 if both
+    labels agree and, on the same backend, nothing differs; otherwise it is 1.
     """
     from client.result_folder import check_finished
     from client.settings import settings_to_run
@@ -162,18 +163,18 @@ def replay(
         from services.pipeline.replay import replay as render_again
 
         again = render_again(directory, library(settings), settings)
-    same = again.stored.label == again.replayed.label and (again.pixels_differing == 0 or not again.same_backend)
     row: list[str | Text] = [
         answer_text(again.stored),
         answer_text(again.replayed),
         yes(again.fooled),
         f"{again.pixels_differing:,}",
+        ", ".join(again.differs) or "nothing",
         yes(again.same_backend),
-        yes(same),
+        yes(again.reproduced),
     ]
-    columns = ("stored", "rendered again", "goal met", "pixels differing>", "same backend", "reproduced")
-    print_found(again.model_dump(mode="json") | {"reproduced": same}, FittedTable(columns, [row]), as_json)
-    if not same:
+    columns = ("stored", "rendered again", "goal met", "pixels differing>", "differs", "same backend", "reproduced")
+    print_found(again.model_dump(mode="json"), FittedTable(columns, [row]), as_json)
+    if not again.reproduced:
         raise typer.Exit(1)
 
 

@@ -32,6 +32,7 @@ from services.pipeline.prepare import Prepared, lit_by_map, prepare, prepare_exa
 from services.pipeline.result import (
     ATTACKED,
     BEST_SO_FAR,
+    ORIGINAL,
     PERTURBATION,
     RESULT,
     AtEpsilon,
@@ -194,7 +195,7 @@ def _write(
 
 def _save_change(prepared: Prepared, stored: Parameters, attacked: Tensor, out: Path) -> None:
     """Writes the files into the directory `out`. attacked: the exact image of `stored`, uint8 [H, W, 3]."""
-    save_png(prepared.original.saved, out / "original.png")
+    save_png(prepared.original.saved, out / ORIGINAL)
     save_png(attacked, out / ATTACKED)
     save_png(magnified(prepared.original.saved, attacked), out / "perturbation.png")
     for name, image in change_images(prepared.renderer, stored).items():

@@ -1,6 +1,8 @@
 import json
+import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -9,12 +11,13 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from services.analysis.images import load_png
+from services.analysis.images import load_png, save_png
 from services.analysis.verdict import held_within
 from services.attacks.run import AttackRun, run_attack
 from services.errors import Cancelled
 from services.pipeline.execute import Progress, execute
 from services.pipeline.prepare import prepare
+from services.pipeline.replay import replay
 from services.pipeline.result import AtEpsilon, Result, outcome
 from services.pipeline.spec import parse
 from services.rendering.factory import build
@@ -70,6 +73,44 @@ def test_twice_the_same_bytes_and_again_in_another_process(
     assert again["pixels_differing"] == 0
     assert again["same_backend"]
     assert again["replayed"] == result.attacked.model_dump(mode="json")
+
+
+def _edit(folder: Path, part: str, field: str, value: object) -> None:
+    result = json.loads((folder / "result.json").read_text())
+    result[part][field] = value
+    (folder / "result.json").write_text(json.dumps(result))
+
+
+def _one_pixel(image: Path) -> None:
+    pixels = load_png(image)
+    pixels[20, 20] = 255 - pixels[20, 20]
+    save_png(pixels, image)
+
+
+@pytest.mark.parametrize(
+    ("differs", "alter"),
+    [
+        ("original.png", lambda folder: _one_pixel(folder / "original.png")),
+        ("attacked.png", lambda folder: _one_pixel(folder / "attacked.png")),
+        ("original", lambda folder: _edit(folder, "original", "confidence", 0.5)),
+        ("attacked", lambda folder: _edit(folder, "attacked", "confidence", 0.5)),
+        ("change.perceptibility", lambda folder: _edit(folder, "change", "perceptibility", 0.001)),
+        ("verdict.verified", lambda folder: _edit(folder, "verdict", "verified", False)),
+    ],
+)
+def test_replaying_names_what_was_altered(
+    differs: str,
+    alter: Callable[[Path], None],
+    runs: list[tuple[Path, Result, dict[str, Any]]],
+    tmp_path: Path,
+) -> None:
+    folder, result, again = runs[0]
+    assert (again["differs"], again["reproduced"]) == ([], True)
+    assert result.verdict.verified
+    copy = shutil.copytree(folder, tmp_path / "copy")
+    alter(copy)
+    altered = replay(copy, LIBRARY)
+    assert (altered.differs, altered.reproduced) == ((differs,), False)
 
 
 def test_the_files_say_what_the_result_says(tmp_path: Path) -> None:
