@@ -1,10 +1,11 @@
 """The OpenAPI document's description of the API, its errors and its examples."""
 
 import json
+from functools import cache
 from pathlib import Path
 from typing import Any
 
-from fastapi import FastAPI
+from fastapi import FastAPI, Response
 
 from api.authentication import scope_of
 from api.problems import MEDIA_TYPE, ProblemDetails
@@ -74,6 +75,14 @@ def describe(app: FastAPI) -> None:
         return app.openapi_schema
 
     app.openapi = openapi  # type: ignore[method-assign]
+
+    @cache
+    def written() -> bytes:
+        return json.dumps(openapi(), ensure_ascii=False, separators=(",", ":")).encode()
+
+    @app.get("/openapi.json", include_in_schema=False)
+    def document() -> Response:
+        return Response(written(), media_type="application/json")
 
 
 def _name_form(schema: dict[str, Any]) -> None:

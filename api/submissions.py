@@ -1,5 +1,6 @@
 """What becomes of a request that is no HTTP: it is checked, previewed and queued."""
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -64,10 +65,16 @@ class Checks:
         return await self._check(spec)
 
     async def check_campaign(self, campaign: CampaignSpec, caller: Caller) -> None:
-        """Checks the size of a campaign, its names, and one job of each kind. Raises as `check` does."""
-        check_size(campaign)
+        """Checks the size of a campaign, its names, and one job of each kind, in the time that a preview may take.
+
+        Raises as `check` does. Kinds for which no time is left are not checked.
+        """
+        await run_in_threadpool(check_size, campaign)
         await run_in_threadpool(lambda: check_names(campaign, self._names(caller)))
+        end = time.monotonic() + PREVIEW_SHARE * self._settings.check_seconds
         for spec, places in await run_in_threadpool(lambda: list(samples(campaign))):
+            if time.monotonic() > end:
+                return
             try:
                 await self._check(spec)
             except InvalidRequest as error:

@@ -27,10 +27,13 @@ def most_jobs(campaign: CampaignSpec) -> int:
 
 MOST_JOBS = 10_000
 """Largest campaign, in jobs and in views: days of work for many processes, and a page that a browser still shows."""
+MOST_BYTES = 2_000_000
+"""Longest campaign, as JSON with its defaults filled in. Every answer and page about it has it in full."""
 
 
 def check_size(campaign: CampaignSpec, limit: int = MOST_JOBS) -> None:
-    """Raises InvalidRequest if the campaign may have more than `limit` jobs, or has more than `limit` views.
+    """Raises InvalidRequest if the campaign may have more than `limit` jobs, has more than `limit` views, or is longer
+    than `MOST_BYTES`.
 
     Counts without making the scenes.
     """
@@ -46,6 +49,13 @@ def check_size(campaign: CampaignSpec, limit: int = MOST_JOBS) -> None:
         raise InvalidRequest(
             "grids",
             f"the campaign asks the networks for {asked:,} views, and the limit is {limit:,}; list fewer scenes",
+        )
+    written = len(campaign.model_dump_json())
+    if written > MOST_BYTES:
+        raise InvalidRequest(
+            "grids" if campaign.grids else "jobs",
+            f"with its defaults filled in, the campaign takes {written / 1e6:.1f} MB, and the limit is "
+            f"{MOST_BYTES / 1e6:g} MB; make scenes and jobs by grids in place of listing them",
         )
 
 

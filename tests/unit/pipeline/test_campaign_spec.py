@@ -154,6 +154,14 @@ def test_a_campaign_over_the_limit_is_refused() -> None:
         check_size(parse(changed(scenes=huge)), 10_000)
 
 
+def test_a_campaign_that_is_long_once_its_defaults_are_filled_in_is_refused() -> None:
+    """Forty readers of a request of 1 MB, 10 MB with its defaults, took the service 4 GB."""
+    job = {"scene": {"objects": [{"mesh": "primitive/sphere"}]}, "attack": {}}
+    check_size(parse({"jobs": [job] * 1000}))
+    with pytest.raises(InvalidRequest, match=r"jobs: .* takes \d\.\d MB, and the limit is 2 MB; make .* by grids"):
+        check_size(parse({"jobs": [job] * 3000}))
+
+
 def test_every_upload_is_named_by_its_first_place() -> None:
     mesh, other, light = (f"sha256:{digit * 64}" for digit in "123")
     lights = {"environment": {"map": light}}
