@@ -116,6 +116,7 @@ def save(folder: Path, campaign: str, examples: Sequence[Example]) -> None:
     for path in folder.glob(f"{campaign}-*.png"):
         if path.name not in named:
             path.unlink()
-    whole = (example.model_dump(mode="json", exclude_defaults=True) for example in [*kept, *examples])
+    ordered = sorted([*kept, *examples], key=lambda example: example.name)  # whichever campaign was recorded last
+    whole = (example.model_dump(mode="json", exclude_defaults=True) for example in ordered)
     lines = [json.dumps(example, ensure_ascii=False) for example in whole]
     (folder / "examples.json").write_text("[\n" + ",\n".join(lines) + "\n]\n", "utf-8")
