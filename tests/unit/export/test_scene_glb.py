@@ -15,7 +15,7 @@ import trimesh
 from PIL import Image
 
 from services.errors import InvalidRequest
-from services.export.glb import COAT, GLTF_SMITH, asset_glb, scene_glb
+from services.export.glb import COAT, GLTF_SMITH, Glb, asset_glb, scene_glb
 from services.export.scene_values import scene_values
 from services.scenes.description import Background, DirectionalLight, Lights, PointLight, SceneObject, SpotLight
 from services.scenes.library import Library
@@ -161,3 +161,12 @@ def test_it_has_the_mesh_alone_and_a_camera(tmp_path: Path) -> None:
 def test_an_unknown_mesh_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InvalidRequest, match="nothing"):
         asset_glb("primitive/nothing", Library(tmp_path, tmp_path))
+
+
+@pytest.mark.parametrize("length", range(1, 5))
+def test_chunks_begin_where_glb_says(length: int) -> None:
+    """At multiples of four bytes (glTF 2.0, section 4.4), however long the JSON is."""
+    glb = Glb({"title": "x" * length}).written()
+    size = int.from_bytes(glb[12:16], "little")
+    assert (size % 4, 20 + size) == (0, len(glb))
+    assert json.loads(glb[20:])["asset"]["extras"] == {"title": "x" * length}
