@@ -4,8 +4,8 @@ edges     The torch renderer shades a pixel once, by the mean normal of its samp
           if the scene has a floor. The same view with and without a floor of a few pixels beside the objects: the
           share of the covered pixels that differ by more than 1/255, the largest difference, and p of the two images.
 rounding  An attack takes the network's gradient at the image of 8 bits. The gradient of the log-odds of the network's
-          label with respect to the normals, through the exact image and through that of a plan of tolerance 0.001,
-          rounded or not: the share of signs that change, by number and by weight (the gradient's length there).
+          label with respect to the normals, through the exact image and through that of a plan of the default
+          tolerance, rounded or not: the share of signs that change, by number and by weight (the gradient's length).
 
 Results are written to results/known_errors.json in a minute: python -m benchmarks.known_errors
 """
@@ -18,6 +18,7 @@ from torch import Tensor
 
 from benchmarks.report import RESULTS, save
 from services.process import use
+from services.rendering.plan import DEFAULT_TOLERANCE
 from services.rendering.protocol import Renderer
 from services.rendering.torch_renderer.renderer import TorchRenderer
 from services.scenes.description import Scene
@@ -26,6 +27,7 @@ from services.scenes.resolve import resolve
 from services.settings import Settings
 from services.targets import registry
 from services.targets.protocol import Target
+from services.targets.scores import log_odds
 
 SPECK = {"size": 0.02, "height": -0.35}
 """A floor of a few pixels below the objects."""
@@ -34,7 +36,6 @@ EDGES = (
     *(("furniture/grand-piano", "plastic"), ("furniture/grand-piano", "metal")),
 )
 ROUNDED = ("furniture/grand-piano", "furniture/soccer-ball", "furniture/drill")
-TOLERANCE = 0.001
 
 
 def edges(mesh: str, material: str, library: Library) -> dict[str, object]:
@@ -60,7 +61,7 @@ def edges(mesh: str, material: str, library: Library) -> dict[str, object]:
 def rounding(mesh: str, library: Library, target: Target) -> dict[str, object]:
     """How many signs of the normals' gradient the rounding to 8 bits changes, and how many the plan does."""
     scene = resolve(Scene.model_validate({"objects": [{"mesh": mesh, "material": "plastic"}]}), library)
-    planned = TorchRenderer(scene, groups=("normals",), tolerance=TOLERANCE)
+    planned = TorchRenderer(scene, groups=("normals",), tolerance=DEFAULT_TOLERANCE)
     exact = planned.exact()
     normals = planned.initial()["normals"]
 
@@ -70,9 +71,7 @@ def rounding(mesh: str, library: Library, target: Target) -> dict[str, object]:
         shown = image.detach().float()
         pixels = ((shown * 255).round() / 255 if rounded else shown).requires_grad_()
         scores = target.logits(pixels)[0]
-        label = int(scores.argmax())
-        others = torch.cat([scores[:label], scores[label + 1 :]])
-        (weights,) = torch.autograd.grad(scores[label] - others.logsumexp(0), pixels)
+        (weights,) = torch.autograd.grad(log_odds(scores, (int(scores.argmax()),)), pixels)
         return torch.autograd.grad((image * weights.to(dtype)).sum(), leaf)[0].double().flatten()
 
     true = gradient(exact, torch.float64, rounded=False)

@@ -16,7 +16,7 @@ from PIL import Image
 
 from services import disk
 from services.errors import InvalidRequest
-from services.pipeline.result import Result, success
+from services.pipeline.result import ATTACKED, ORIGINAL, Result, success
 from services.pipeline.spec import attack_name, scene_name
 
 FORMAT = 1
@@ -102,7 +102,7 @@ def export(results: Iterable[tuple[Result, Path]], folder: Path, name: str) -> i
             continue
         item = _metadata(result, f"{len(items):05}")
         labels |= dict.fromkeys(_labels(result))
-        for kind, file in (("images", "attacked.png"), ("originals", "original.png")):
+        for kind, file in (("images", ATTACKED), ("originals", ORIGINAL)):
             (folder / kind).mkdir(parents=True, exist_ok=True)
             shutil.copyfile(files / file, folder / kind / f"{item['id']}.png")
         items.append(item)
