@@ -1,15 +1,21 @@
 """The list of jobs over HTTP: queries, cursors, what people say about jobs, also on their pages, and retries."""
 
+from datetime import UTC, datetime
 from typing import Any
 
 import httpx
 import pytest
 
+from api.cursors import Cursor, read_cursor, write_cursor
 from api.requests import Services
+from services.jobs.job_list import Place
 from services.jobs.models import Job
+from services.jobs.states import State
 from services.pipeline.spec import parse
 from tests.unit.api.conftest import SPHERE
 from tests.unit.api.dashboard_records import Tags
+
+NOON = datetime(2026, 11, 28, 12, tzinfo=UTC)
 
 
 @pytest.fixture
@@ -49,6 +55,25 @@ def test_a_query_that_cannot_be_read_says_where(client: httpx.Client) -> None:
     [error] = answer.json()["errors"]
     assert error["field"] == "q"
     assert error["detail"].startswith("at character 9: there is no field 'rendrer'")
+
+
+@pytest.mark.parametrize(
+    ("sort", "value"),
+    [
+        ("created", NOON),
+        ("-ended", NOON),
+        ("name", "a piano"),
+        ("state", State.RUNNING),
+        ("verified", False),
+        ("p", 0.01),
+        ("-queries", 7),
+        ("seconds", 0.5),
+        ("queries", None),
+    ],
+)
+def test_a_cursor_keeps_its_place(sort: str, value: object) -> None:
+    place = Place(value, NOON, "0f3c")
+    assert read_cursor(write_cursor(sort, place, backwards=True), sort) == Cursor(before=place)
 
 
 @pytest.mark.parametrize("cursor", ["x", "!!", "bm90IGEgY3Vyc29y", "bnVsbA", "W10", "WyItY3JlYXRlZCIsZmFsc2UsMSwyLDNd"])

@@ -2,14 +2,17 @@
 
 import socket
 import socketserver
+import ssl
 import subprocess
 import sys
 import threading
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
 
+from tests.certificates import self_signed
 from tests.unit.client.command_line import Done, cli, process
 
 pytestmark = pytest.mark.slow
@@ -124,6 +127,26 @@ def test_https_to_a_port_of_http(website: int) -> None:
     assert text == f"https://127.0.0.1:{website} does not speak https; try --url http://127.0.0.1:{website}"
 
 
+def test_a_certificate_that_nobody_signed(tmp_path: Path) -> None:
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.load_cert_chain(self_signed(tmp_path), tmp_path / "key.pem")
+    listener = socket.create_server(("127.0.0.1", 0))
+
+    def answer() -> None:
+        with suppress(ssl.SSLError, ConnectionError):
+            context.wrap_socket(listener.accept()[0], server_side=True).close()
+
+    with listener:
+        thread = threading.Thread(target=answer)
+        thread.start()
+        origin = f"https://localhost:{listener.getsockname()[1]}"
+        code, text = said("jobs", "list", "--url", origin)
+        thread.join()
+    assert code == 1
+    assert text.startswith(f"the certificate of {origin} is not trusted (")
+    assert text.endswith("); SSL_CERT_FILE names one that is")
+
+
 def test_another_web_server(website: int) -> None:
     code, text = said("jobs", "list", "--url", f"http://127.0.0.1:{website}")
     assert code == 1
@@ -206,6 +229,12 @@ def test_a_key_that_is_none(key: str) -> None:
     assert code == 2
     assert text.startswith("bad input: SCENE_ATTACK_KEY: ")
     assert key not in text
+
+
+def test_a_picture_in_a_folder_that_is_not_there(tmp_path: Path) -> None:
+    picture = tmp_path / "none/picture.png"
+    code, text = said("render", "examples/torch-combined.json", "--out", str(picture))
+    assert (code, text) == (2, f"bad input: --out: there is no folder {picture.parent}; make it first")
 
 
 def test_a_folder_that_cannot_be_made(tmp_path: Path) -> None:

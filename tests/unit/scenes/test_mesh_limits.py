@@ -61,6 +61,7 @@ def test_polygons_count_as_the_triangles_they_become():
         ("ply", PLY_HEADER.format(format="ascii", vertices=10**12, faces=1, count="uchar") + "0 0 0\n", "declares"),
         ("ply", PLY_HEADER.format(format="binary_little_endian", vertices=10**12, faces=1, count="uchar"), "declares"),
         ("ply", PLY_HEADER.format(format="ascii", vertices=3, faces=10**12, count="uchar") + "0 0 0\n", "declares"),
+        ("ply", PLY_HEADER.format(format="ascii", vertices=1, faces=99, count="uchar") + "0 0 0\n", "elements"),
         ("ply", PLY_HEADER.format(format="ascii", vertices=-3, faces=1, count="uchar") + "0 0 0\n", "negative"),
         ("ply", PLY_HEADER.format(format="ascii", vertices=3, faces=1, count="complex") + "0 0 0\n", "damaged"),
         ("ply", "ply\nformat ascii 1.0\nelement vertex 3\n", "PLY header"),
