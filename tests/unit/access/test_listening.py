@@ -1,5 +1,3 @@
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -8,6 +6,7 @@ from services.access.caller import Scope
 from services.access.keys import AccessKeys, check_listening
 from services.errors import InvalidRequest
 from services.settings import Settings
+from tests.unit.client.command_line import process
 
 pytestmark = pytest.mark.slow
 
@@ -31,11 +30,12 @@ def test_with_a_key_it_listens_anywhere(keys: AccessKeys, database: Settings) ->
     check_listening(database.model_copy(update={"host": "0.0.0.0"}))
 
 
-def test_serve_refuses_before_it_starts_anything(tmp_path: Path) -> None:
-    """In a process of its own, as `serve` decides how a process writes its log."""
-    command = [sys.executable, "-m", "client", "serve", "--host", "0.0.0.0", "--port", "0", "--data", str(tmp_path)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+@pytest.mark.parametrize("command", ["serve", "api"])
+def test_a_command_refuses_before_it_starts_anything(command: str, tmp_path: Path) -> None:
+    """In a process of its own, as the command decides how a process writes its log."""
+    place = ["--host", "0.0.0.0", "--port", "0", "--data", str(tmp_path)]
+    done = process(command, *place, SCENE_ATTACK_REDIS_URL="redis://127.0.0.1:1")
     assert done.returncode == 2
     assert "--host" in done.stderr
     assert "has no key yet" in done.stderr
-    assert done.stdout == ""
+    assert "listening" not in done.stdout
