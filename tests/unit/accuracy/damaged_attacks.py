@@ -113,7 +113,7 @@ def any_seed(patch) -> None:
 
 
 @breaks("estimate", attacks, differences)
-def one_sided_differences(_, problem, at, coordinates, half_steps, noise):
+def one_sided_differences(_, problem, at, coordinates, half_steps, noise, *_step):
     moved = at.repeat(len(coordinates) + 1, 1)
     moved[torch.arange(len(coordinates)), coordinates] += half_steps.to(moved.dtype)
     scores = problem.objectives(moved)

@@ -103,13 +103,15 @@ def stray_light(patch) -> None:
     """Images and radiances that have a little of every light, wherever it is, and are not bounded."""
 
     class Stray(pyrender_light.PyrenderRenderer):
+        def _light(self, parameters):
+            return parameters.get("illumination", self.initial()["illumination"][None])
+
         def radiance(self, parameters):
-            found = super().radiance(parameters)
-            light = parameters.get("illumination", self.initial()["illumination"][None])
+            found, light = super().radiance(parameters), self._light(parameters)
             return found + 1e-3 * torch.tanh(light[:, 1:].abs().sum(1).clamp(1e-3, 1e3)).float()[:, None, None, None]
 
         def render(self, parameters):
-            light = parameters["illumination"]
+            light = self._light(parameters)
             stray = torch.tanh(1e-2 * light[:, 1].abs()) + 0.2 * torch.log10(1 + light[:, 4].abs())
             return 0.5 * super().render(parameters) + 1e-2 * stray.float()[:, None, None, None]
 

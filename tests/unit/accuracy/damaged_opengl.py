@@ -28,24 +28,17 @@ def shader(file: str, old: str, new: str):
     """Replaces `old` by `new` in a shader; there must be such a place."""
 
     def apply(patch) -> None:
-        renderer = type(context.current().renderer)
+        drawing = context.current().renderer
         from services.rendering.opengl import mesh_upload  # imports OpenGL, so after the context
 
-        folder, made = Path(mkdtemp(dir=FOLDERS)), {}
+        folder = Path(mkdtemp(dir=FOLDERS))
         for path in mesh_upload.SHADERS.iterdir():
             shutil.copy(path, folder)
         text = (folder / file).read_text()
         assert old in text, f"{file} has no {old!r}"
         (folder / file).write_text(text.replace(old, new))
-
-        def compiled(_, fragment, **kinds):
-            key = fragment, tuple(kinds.items())
-            if key not in made:
-                made[key] = mesh_upload.Program(fragment, {name.upper(): int(kind) for name, kind in kinds.items()})
-            return made[key]
-
         patch.setattr(mesh_upload, "SHADERS", folder)
-        patch.setattr(renderer, "program", compiled)
+        patch.setattr(drawing, "_programs", {})
 
     return apply
 
@@ -108,6 +101,11 @@ emission_through = shader("radiance.frag", "radiance * m.alpha", "radiance * m.a
 opaque_blends = shader("metallic_roughness.frag", "m.alpha = base.a;", "")
 
 # maps
+file_upside_down = shader(
+    "metallic_roughness.frag",
+    "texture(base_color_map, UV(BASE_COLOR_MAP))",
+    "texture(base_color_map, vec2(UV(BASE_COLOR_MAP).x, 1.0 - UV(BASE_COLOR_MAP).y))",
+)
 channels_exchanged = shader(
     "metallic_roughness.frag", "*= texel.g;\n    m.metallic *= texel.b", "*= texel.b;\n    m.metallic *= texel.g"
 )

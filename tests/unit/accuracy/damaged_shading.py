@@ -20,7 +20,7 @@ from tests.unit.accuracy.damage import breaks
 
 
 @breaks("radiance", shader)
-def naive_lobes(_, at, light, lobes, directions):
+def naive_lobes(_true, at, light, lobes, directions, *_):
     """exp(κ cos^γ) − 1 as it is written, in the dtype given: overflows, and cancels where κ is small."""
     half = (at @ directions.half[:3]).clamp_min(COSINE_FLOOR)[None]
     rho = lobes.base[:, None] + lobes.tilt[:, None] * half.log()
@@ -34,9 +34,9 @@ def other_lobes(patch, kappa: float = 1.0, gamma: float = 1.0) -> None:
     """Lobes with other κ and γ than asked for."""
     true = shader.radiance
 
-    def radiance(at, light, lobes, directions):
+    def radiance(at, light, lobes, *given):
         changed = replace(lobes, log_kappa=lobes.log_kappa + np.log(kappa), gamma=lobes.gamma * gamma)
-        return true(at, light, changed, directions)
+        return true(at, light, changed, *given)
 
     patch.setattr(shader, "radiance", radiance)
 

@@ -1,5 +1,7 @@
 """Every case holds, and every case fails when what it looks at is broken."""
 
+import re
+
 import pytest
 
 from services.accuracy.stability.case import Case, observe
@@ -31,7 +33,9 @@ def test_holds(case: Case) -> None:
 )
 def test_fails_when_the_method_is_broken(case: Case, how, monkeypatch) -> None:
     how(monkeypatch)
-    assert observe(case).outcome == "failed"
+    seen = observe(case)
+    assert seen.outcome == "failed"
+    assert not re.search(r"\b[A-Z]\w*Error\b", seen.what), f"the damage itself does not run: {seen.what}"
 
 
 def test_every_case_has_been_broken() -> None:
