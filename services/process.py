@@ -12,7 +12,6 @@ import platform
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib.metadata import version
 from math import isfinite
@@ -20,23 +19,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from services.errors import InvalidRequest
-from services.settings import DEFAULTS, Settings
+from services.options import DEFAULTS, Options
 
 if TYPE_CHECKING:
     import torch
     from torch import Tensor
 
 
-@dataclass(frozen=True)
-class ProcessOptions:
-    """The settings of these names, with absolute paths."""
-
-    cache: Path
-    kernel: str
-    kernel_arch: str
-    kernel_dir: Path
-    gl: str
-    device: str
+ONCE = {"cache": "cache_dir", "kernel_dir": "kernel_folder"} | {
+    name: name for name in ("device", "gl", "kernel", "kernel_arch")
+}
+"""The options of which a process has one value, each with the attribute that holds it, a path being absolute there."""
 
 
 def program(module: str, *arguments: str) -> list[str]:
@@ -47,31 +40,30 @@ def program(module: str, *arguments: str) -> list[str]:
     return [sys.executable, "-P", "-m", module, *arguments]
 
 
-_options: ProcessOptions | None = None
+_options: Options | None = None
 
 
-def use(settings: Settings) -> None:
+def use(asked: Options) -> None:
     """Sets the options of this process, before anything asks for them.
 
-    Calling it again with the same settings does nothing. Raises InvalidRequest, which names the variable, for a value
+    Calling it again with the same options does nothing. Raises InvalidRequest, which names the variable, for a value
     that differs from the one that this process has.
     """
     global _options
-    asked = _of(settings)
     if _options is None:
         _options = asked
-    for name, value in vars(asked).items():
-        has = getattr(_options, name)
+    for name, attribute in ONCE.items():
+        has, value = getattr(_options, attribute), getattr(asked, attribute)
         if value != has:
             detail = f"this process has {has} already and cannot change to {value}; start another process"
             raise InvalidRequest(f"SCENE_ATTACK_{name.upper()}", detail)
 
 
-def options() -> ProcessOptions:
+def options() -> Options:
     """Returns the options of this process. From the first call on they are fixed."""
     global _options
     if _options is None:
-        _options = _of(DEFAULTS)
+        _options = DEFAULTS
     return _options
 
 
@@ -80,22 +72,11 @@ def replaced(**changes: str | Path) -> Iterator[None]:
     """Replaces options as long as the context lasts, to compare them. What was loaded before stays loaded."""
     global _options
     before = options()
-    _options = replace(before, **changes)  # type: ignore[arg-type]
+    _options = before.model_copy(update=changes)
     try:
         yield
     finally:
         _options = before
-
-
-def _of(settings: Settings) -> ProcessOptions:
-    return ProcessOptions(
-        cache=settings.cache_dir,
-        kernel=settings.kernel,
-        kernel_arch=settings.kernel_arch,
-        kernel_dir=settings.kernel_folder,
-        gl=settings.gl,
-        device=settings.device,
-    )
 
 
 def device() -> "torch.device":

@@ -3,22 +3,23 @@
 A process or a command makes its `Settings()` once, where it begins, and passes them on as an argument.
 """
 
-import os
 from pathlib import Path
-from typing import Literal
 
-from pydantic import Field, ValidationInfo, field_validator
+from pydantic import Field, field_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
-from services.addresses import endpoint_mistake, host_mistake
+from services.addresses import host_mistake
+from services.options import Options, listed, with_a_home
 
 
-class Settings(BaseSettings):
-    """All settings of an operator; `scene-attack serve --help` and docs/operations.md describe them."""
+class Settings(Options, BaseSettings):
+    """All settings of an operator: the engine's options, and the service's own.
+
+    `scene-attack serve --help` and docs/operations.md describe them.
+    """
 
     model_config = SettingsConfigDict(env_prefix="SCENE_ATTACK_", env_ignore_empty=True, frozen=True)
 
-    cache: Path = Field(Path("~/.cache/scene-attack"), description="downloaded and derived files; safe to delete")
     data: Path = Field(Path("~/.local/share/scene-attack"), description="database, artifacts, uploaded assets")
     database_url: str | None = Field(
         None,
@@ -37,42 +38,7 @@ class Settings(BaseSettings):
         description="names by which clients may call the service besides those of loopback, separated by commas",
     )
     workers: int = Field(1, ge=1, le=64, description="job processes")
-    device: str = Field(
-        "auto",
-        pattern=r"^(auto|cpu|cuda(:[0-9]{1,2})?)$",
-        description="where networks and the torch renderer compute: auto (CUDA if there is one), cpu, cuda, cuda:N",
-    )
     threads: int = Field(2, ge=1, le=256, description="torch threads of a job process; part of the backend string")
-    extensions: str | None = Field(
-        None,
-        description="files, or folders of .py files, with attacks, renderers and targets of your own; separated as in "
-        "`PATH`",
-    )
-    targets: Path | None = Field(
-        None, description="folder with networks of your own, one folder each with a `card.json`; docs/targets.md"
-    )
-    target_factories: str | None = Field(
-        None,
-        description="`module:callable` of each function that a card may name as its `factory`, separated by commas",
-    )
-    target_endpoints: str | None = Field(
-        None,
-        description="each URL that a card may name as its `endpoint`, and each private IP address that such a URL's "
-        "host may have, separated by commas",
-    )
-    gl: Literal["auto", "egl", "osmesa"] = Field("auto", description="OpenGL platform; auto tries EGL, then OSMesa")
-    kernel: Literal["auto", "native", "torch"] = Field(
-        "auto",
-        description="what runs inner loops on a CPU; auto takes compiled kernels, torch where there are none",
-    )
-    kernel_arch: str = Field(
-        "native",
-        pattern=r"^[a-z0-9][a-z0-9+._-]*$",
-        description="processor the kernels are compiled for: native, portable, or a name that g++ -march knows",
-    )
-    kernel_dir: Path | None = Field(None, description="folder of the compiled kernels; default: native in the cache")
-    max_upload_bytes: int = Field(32 * 2**20, ge=1, description="largest mesh upload")
-    max_faces: int = Field(300_000, ge=1, description="largest mesh, in triangles")
     check_seconds: float = Field(
         5.0,
         gt=0,
@@ -111,25 +77,19 @@ class Settings(BaseSettings):
         "out-of-memory; default: an equal share of the machine's memory, of 4 to 16 GiB",
     )
 
-    @field_validator("hosts", "target_endpoints")
+    @field_validator("hosts")
     @classmethod
-    def _can_match(cls, value: str | None, about: ValidationInfo) -> str | None:
-        for part in sorted(_listed(value)):
-            endpoint = about.field_name == "target_endpoints"
-            refusal = endpoint_mistake(part) if endpoint else host_mistake(part.lower())
+    def _can_match(cls, value: str | None) -> str | None:
+        for part in sorted(listed(value)):
+            refusal = host_mistake(part.lower())
             if refusal is not None:
                 raise ValueError(f"{part!r} can never match: {refusal}")
         return value
 
-    @field_validator("cache", "data", "targets", "kernel_dir")
+    @field_validator("data")
     @classmethod
-    def _has_a_home(cls, value: Path | None) -> Path | None:
-        try:
-            if value is not None:
-                value.expanduser()
-        except RuntimeError as error:
-            raise ValueError(f"{value}: there is no such user") from error
-        return value
+    def _data_has_a_home(cls, value: Path) -> Path | None:
+        return with_a_home(value)
 
     @field_validator("database_url")
     @classmethod
@@ -137,16 +97,6 @@ class Settings(BaseSettings):
         if value is not None and value.startswith("sqlite") and value.partition(":")[2].strip("/") in ("", ":memory:"):
             raise ValueError("a database in memory is lost with its process; name a file, or leave it out")
         return value
-
-    @property
-    def cache_dir(self) -> Path:
-        """The cache directory, absolute."""
-        return self.cache.expanduser().resolve()
-
-    @property
-    def kernel_folder(self) -> Path:
-        """The folder of the compiled kernels, absolute."""
-        return self.cache_dir / "native" if self.kernel_dir is None else self.kernel_dir.expanduser().resolve()
 
     @property
     def data_dir(self) -> Path:
@@ -159,39 +109,15 @@ class Settings(BaseSettings):
         return self.artifact_url or self.data_dir
 
     @property
-    def extension_paths(self) -> list[Path]:
-        """The files and folders listed in `extensions`, as they were written."""
-        return [Path(part) for part in (self.extensions or "").split(os.pathsep) if part]
-
-    @property
-    def target_folder(self) -> Path | None:
-        """The folder with the operator's own networks, absolute; None if there is none."""
-        return None if self.targets is None else self.targets.expanduser().resolve()
-
-    @property
-    def allowed_factories(self) -> frozenset[str]:
-        """The factories that cards may name."""
-        return _listed(self.target_factories)
-
-    @property
-    def allowed_endpoints(self) -> frozenset[str]:
-        """The URLs that cards may name, and the private addresses that these may have."""
-        return _listed(self.target_endpoints)
-
-    @property
     def own_hosts(self) -> frozenset[str]:
         """The names by which clients may call the service, besides loopback's: those listed, and its own address."""
-        listed = {host.lower() for host in _listed(self.hosts)}
-        return frozenset(listed | {self.host.lower()}) - {"", "0.0.0.0", "::"}
+        named = {host.lower() for host in listed(self.hosts)}
+        return frozenset(named | {self.host.lower()}) - {"", "0.0.0.0", "::"}
 
     def environ(self) -> dict[str, str]:
         """Returns the environment variables that give a child process these settings."""
         values = {name: getattr(self, name) for name in type(self).model_fields}
         return {f"SCENE_ATTACK_{name.upper()}": str(value) for name, value in values.items() if value is not None}
-
-
-def _listed(text: str | None) -> frozenset[str]:
-    return frozenset(part.strip() for part in (text or "").split(",") if part.strip())
 
 
 DEFAULTS = Settings.model_construct()

@@ -11,7 +11,6 @@ from services.scenes.description import Scene
 from services.scenes.library import Library
 from services.scenes.mesh import Floats, Mesh, Part
 from services.scenes.resolve import ResolvedScene, resolve, with_surface
-from services.settings import DEFAULTS
 
 TABLES = (128, 128)
 """Height and width, in pixels, of an image large enough that a plan prefers tables to sums."""
@@ -20,7 +19,7 @@ TABLES = (128, 128)
 @lru_cache(maxsize=1)
 def library() -> Library:
     """The meshes and environment maps of this installation; no case asks for an upload."""
-    return Library(options().cache, DEFAULTS.data_dir)
+    return Library(options().cache_dir, options().cache_dir / "uploads")
 
 
 def placed(

@@ -15,10 +15,10 @@ from services.attacks.attack import ATTACKS
 from services.errors import InvalidRequest, printable
 from services.extensions import NAME, load, loaded_extensions
 from services.logs import logger
+from services.options import Options
 from services.pipeline.field_errors import invalid_fields
 from services.process import use
 from services.rendering.declaration import RENDERERS
-from services.settings import Settings
 from services.strict import NotJson, read_json
 from services.targets.architectures import ARCHITECTURES
 from services.targets.custom.card import NOTHING, AllowList, Card
@@ -48,35 +48,35 @@ class TargetFolder:
     """The reason for which it is no target; None if it is one."""
 
 
-SETTINGS = ("extensions", "targets", "target_factories", "target_endpoints")
-"""The settings that say what is loaded."""
+LOADED_ONCE = ("extensions", "targets", "target_factories", "target_endpoints")
+"""The options that say what is loaded."""
 
 log = logger(__name__)
 
 
 @dataclass(frozen=True)
 class _Loaded:
-    settings: Settings
+    options: Options
     target_folders: tuple[TargetFolder, ...]
 
 
 _loaded: _Loaded | None = None
 
 
-def set_up(settings: Settings) -> None:
+def set_up(options: Options) -> None:
     """Sets up a process that checks or runs jobs: its options, the operator's extensions, and networks in folders.
 
-    Calling it again with the same settings does nothing. Raises InvalidRequest, which names the variable, for a value
+    Calling it again with the same options does nothing. Raises InvalidRequest, which names the variable, for a value
     that differs from the one that this process was set up with. An extension or a network that cannot be loaded is left
     out; `loaded_extensions` and `target_folders` say why.
     """
     global _loaded
-    use(settings)
+    use(options)
     if _loaded is None:
-        load(settings.extension_paths, (ATTACKS, RENDERERS, TARGETS, ARCHITECTURES))
-        _loaded = _Loaded(settings, register_folders(settings.target_folder, AllowList.of(settings)))
-    for name in SETTINGS:
-        if getattr(settings, name) != getattr(_loaded.settings, name):
+        load(options.extension_paths, (ATTACKS, RENDERERS, TARGETS, ARCHITECTURES))
+        _loaded = _Loaded(options, register_folders(options.target_folder, AllowList.of(options)))
+    for name in LOADED_ONCE:
+        if getattr(options, name) != getattr(_loaded.options, name):
             detail = "this process has loaded what another value names; start another process"
             raise InvalidRequest(f"SCENE_ATTACK_{name.upper()}", detail)
 

@@ -14,6 +14,7 @@ from torch import Tensor
 from services.analysis.images import answer, load_png, of_images
 from services.analysis.records import AnalysisRequest, Answer
 from services.errors import InvalidRequest
+from services.options import DEFAULTS, Options
 from services.pipeline.exported_targets import register_exported
 from services.pipeline.field_errors import in_words
 from services.pipeline.prepare import prepare_exactly
@@ -22,7 +23,6 @@ from services.pipeline.spec import parse
 from services.rendering.protocol import Parameters
 from services.scenes.exported_assets import ASSETS, exported_library
 from services.scenes.library import Library
-from services.settings import DEFAULTS, Settings
 from services.targets import registry
 
 
@@ -85,7 +85,7 @@ class Replay(BaseModel):
     """Whether both labels agree, and on the same backend nothing differs."""
 
 
-def replay(directory: Path, library: Library, limits: Settings = DEFAULTS) -> Replay:
+def replay(directory: Path, library: Library, limits: Options = DEFAULTS) -> Replay:
     """Renders the original and the attacked image of a result directory by the exact path, and asks the network.
 
     The directory is what `run --out` wrote, or an export, whose meshes and map take the place of `library`'s. Raises
@@ -129,7 +129,7 @@ def replay(directory: Path, library: Library, limits: Settings = DEFAULTS) -> Re
 
 
 @contextmanager
-def _assets(directory: Path, library: Library, limits: Settings) -> Iterator[Library]:
+def _assets(directory: Path, library: Library, limits: Options) -> Iterator[Library]:
     if not (directory / ASSETS).is_dir():
         yield library
         return

@@ -14,11 +14,11 @@ from tempfile import TemporaryDirectory
 from pydantic import BaseModel, ValidationError
 
 from services.errors import InvalidRequest, printable
+from services.options import Options
 from services.scenes.bundle import About, bundle_of
 from services.scenes.description import Scene
 from services.scenes.library import Library
 from services.scenes.uploads import max_unpacked
-from services.settings import Settings
 
 ASSETS = "assets"
 """The folder in an export."""
@@ -52,7 +52,7 @@ def write_assets(scene: Scene, library: Library, write: Callable[[str, bytes], N
 
 
 @contextmanager
-def exported_library(export: Path, limits: Settings) -> Iterator[Library]:
+def exported_library(export: Path, limits: Options) -> Iterator[Library]:
     """A library of the assets in an export and of no others. Uploads are read again, as when they were sent.
 
     Raises InvalidRequest("directory") for an upload that is damaged, or that this version reads otherwise.
@@ -77,7 +77,7 @@ def check_plain(folder: Path, max_bytes: float = inf) -> None:
             raise InvalidRequest("directory", f"{printable(str(path))} has more than {max_bytes:,} bytes")
 
 
-def _add_again(file: Path, library: Library, limits: Settings) -> None:
+def _add_again(file: Path, library: Library, limits: Options) -> None:
     folder, name = file.with_suffix(""), f"sha256:{file.stem}"
     try:
         sent = _Sent.model_validate_json(file.read_bytes())

@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from services.blobs import blobs
 from services.errors import InvalidRequest
+from services.options import DEFAULTS, Options
 from services.scenes import environment
 from services.scenes.bundle import Bundle
 from services.scenes.environment import EnvironmentMap, read_exr, uniform
@@ -18,7 +19,6 @@ from services.scenes.furniture import Model, archive_of, load_model, read_catalo
 from services.scenes.mesh import Mesh
 from services.scenes.primitives import PRIMITIVES, primitive
 from services.scenes.uploads import Upload, Uploads, is_map
-from services.settings import DEFAULTS, Settings
 from services.text import did_you_mean
 
 
@@ -258,11 +258,11 @@ class Library:
         if self.has_upload(name):
             self._uploads.keep_thumbnail(name.removeprefix("sha256:"), png)
 
-    def add_mesh(self, data: bytes, kind: str, limits: Settings = DEFAULTS) -> Entry:
+    def add_mesh(self, data: bytes, kind: str, limits: Options = DEFAULTS) -> Entry:
         """Adds a mesh that is a single file, as `add`."""
         return self.add(Bundle(kind, data, {}), limits)
 
-    def add(self, bundle: Bundle, limits: Settings = DEFAULTS) -> Entry:
+    def add(self, bundle: Bundle, limits: Options = DEFAULTS) -> Entry:
         """Validates an uploaded mesh and its files, stores them by their SHA-256 and returns the mesh's entry.
 
         The same bytes give the same entry. Raises

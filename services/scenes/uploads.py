@@ -17,12 +17,12 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from services import disk
 from services.blobs import Blobs
 from services.errors import InvalidRequest, JobFailure
+from services.options import DEFAULTS, Options
 from services.scenes.bundle import MAP_KINDS, NOTHING_SAID, PARSER, SIGNATURE, About, Bundle, bundle_of, clean_name
 from services.scenes.environment import EnvironmentMap, radiance_of
 from services.scenes.mesh import Mesh
 from services.scenes.reading.isolated import Report, reader
 from services.scenes.store import load_parts, mesh_path, save_parts
-from services.settings import DEFAULTS, Settings
 
 
 class Upload(BaseModel):
@@ -46,7 +46,7 @@ class Upload(BaseModel):
     """Features that the mesh does not show, and files that are missing."""
 
 
-def max_unpacked(limits: Settings) -> int:
+def max_unpacked(limits: Options) -> int:
     """Largest size of all files of an upload together, unpacked, bytes. The request body has a limit of its own."""
     return 4 * limits.max_upload_bytes
 
@@ -56,7 +56,7 @@ def is_map(kind: str) -> bool:
     return kind in MAP_KINDS
 
 
-def _read_mesh(bundle: Bundle, kept: Path, limits: Settings) -> tuple[int, Report]:
+def _read_mesh(bundle: Bundle, kept: Path, limits: Options) -> tuple[int, Report]:
     """Parses a mesh into the file `kept`. Returns its number of triangles, and what became of its files."""
     parts, report = reader().read_mesh(bundle.data, bundle.kind, limits.max_faces, bundle.others, bundle.about.up)
     save_parts(kept, parts)
@@ -85,7 +85,7 @@ class Uploads:
         self._files = files
         self._processed = processed
 
-    def add(self, bundle: Bundle, limits: Settings = DEFAULTS) -> Upload:
+    def add(self, bundle: Bundle, limits: Options = DEFAULTS) -> Upload:
         """Validates and stores a mesh with its files, and returns its metadata; what is stored already is not
         validated again.
 

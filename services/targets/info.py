@@ -72,7 +72,7 @@ class Published:
     @property
     def path(self) -> Path:
         """Path of the file on this machine, once it has been fetched."""
-        return options().cache / "weights" / self.name
+        return options().cache_dir / "weights" / self.name
 
     def missing(self) -> str | None:
         """Returns a message that the file is missing, and how to get it; None if it is there."""

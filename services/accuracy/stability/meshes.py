@@ -15,12 +15,12 @@ from services.accuracy.stability.geometry import FRONT, against_rays, drawn_by, 
 from services.accuracy.stability.gltf_file import file_of
 from services.accuracy.stability.objects import square, square_arrays
 from services.accuracy.stability.references import EXPOSURE, Lamps, displayed, radiance
+from services.options import DEFAULTS
 from services.rendering.factory import build
 from services.rendering.opengl.gbuffer import rasterise
 from services.scenes.mesh import FIT_RADIUS, Bytes, Doubles, Longs, Part
 from services.scenes.reading.formats import read_mesh
 from services.scenes.resolve import ResolvedScene
-from services.settings import DEFAULTS
 
 SAME = 2e-6
 """Images of one solid from two files: float32 vertices move a value by less (measured: 1.2e-7)."""

@@ -170,7 +170,7 @@ def _wanted() -> Path:
     """Returns the path of the library for the sources, the flags and, if they are specific to it, the processor."""
     about = [sources_sha256(), platform.machine(), *flags(), _processor()]
     name = hashlib.sha256("\n".join(about).encode()).hexdigest()[:32]
-    return options().kernel_dir / f"{name}.so"
+    return options().kernel_folder / f"{name}.so"
 
 
 def _processor() -> str:
@@ -193,7 +193,7 @@ def _sha256(path: Path) -> str | None:
 
 def _why_none() -> str:
     """Returns the reason why the newest library in the folder may not be loaded."""
-    folder = options().kernel_dir
+    folder = options().kernel_folder
     newest = max(folder.glob("*.json"), key=lambda path: path.stat().st_mtime, default=None)
     manifest = None if newest is None else _manifest(newest)
     if manifest is None:

@@ -104,7 +104,7 @@ def _take() -> dict[str, Any] | None:
 
 
 def _path() -> Path:
-    return options().cache / "egl.json"
+    return options().cache_dir / "egl.json"
 
 
 def _surroundings() -> list[object]:

@@ -10,7 +10,7 @@ from urllib.parse import urlsplit
 from pydantic import BaseModel, ConfigDict, Field
 
 from services.addresses import Address, is_loopback, is_public, read
-from services.settings import Settings
+from services.options import Options
 from services.targets.info import LONGEST_LABEL
 
 Line = Annotated[str, Field(min_length=1, max_length=300)]
@@ -80,9 +80,9 @@ class AllowList:
     endpoints: frozenset[str] = frozenset()
 
     @classmethod
-    def of(cls, settings: Settings) -> Self:
-        """The lists in the settings."""
-        return cls(settings.allowed_factories, settings.allowed_endpoints)
+    def of(cls, options: Options) -> Self:
+        """The lists in the options."""
+        return cls(options.allowed_factories, options.allowed_endpoints)
 
     def factory_refusal(self, factory: str) -> str | None:
         """Returns the reason for which a card may not name this factory; None if it may."""

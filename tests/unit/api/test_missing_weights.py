@@ -36,7 +36,7 @@ def test_lists_say_what_is_missing_and_how_to_get_it(client: Client) -> None:
 
 
 def test_a_file_that_is_there_is_not_missing(client: Client) -> None:
-    path = Path(options().cache / "weights" / "net-00.pth")
+    path = Path(options().cache_dir / "weights" / "net-00.pth")
     path.parent.mkdir(parents=True, exist_ok=True)
     path.touch()
     try:
