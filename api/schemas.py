@@ -4,7 +4,6 @@ The Python client reads answers into them, so that nothing here imports the data
 """
 
 import re
-from dataclasses import asdict
 from datetime import datetime
 from typing import TYPE_CHECKING, Annotated, Any, Self
 
@@ -12,7 +11,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validat
 
 from services.analysis.records import RerenderingRequest
 from services.errors import without_folders
-from services.jobs.states import CampaignState, JobKind, Priority, State, times_of
+from services.jobs.states import CampaignState, JobKind, Priority, State
 from services.pipeline.campaign_plan import ChosenView
 from services.pipeline.campaign_spec import CampaignSpec
 from services.pipeline.result import Cost, JobPlan, JobWarning, Outcome, Preview, Result
@@ -25,9 +24,6 @@ from services.text import line, line_or_nothing, paragraphs
 
 if TYPE_CHECKING:
     from services.extensions import Extension
-    from services.jobs.campaigns import Counts, Progress
-    from services.jobs.job_list import ListedJob
-    from services.jobs.models import Campaign, CampaignJob, Job
     from services.pipeline.extensions import TargetFolder
 
 
@@ -93,11 +89,6 @@ class JobSummary(BaseModel):
         default_factory=list, description="the invalid fields of a job in the state rejected: its request cannot run"
     )
 
-    @classmethod
-    def listed(cls, job: "ListedJob") -> Self:
-        """The summary of a job in a list."""
-        return cls(**_fields(job))
-
 
 class JobView(JobSummary):
     """A job with its request and its result."""
@@ -110,36 +101,6 @@ class JobView(JobSummary):
     result: Annotated[Result | RerenderingView | None, Field(union_mode="left_to_right")] = Field(
         description="the result of an attack, or of a job of the kind `rerendering`, once it succeeded"
     )
-
-    @classmethod
-    def of(cls, job: "Job", with_result: bool = False) -> Self:
-        """The view of a job in the database; `with_result` requires that the job was read with its result."""
-        return cls(**_fields(job), spec=job.spec, note=job.note, result=job.result if with_result else None)
-
-
-def _fields(job: "Job | ListedJob") -> dict:  # type: ignore[type-arg]
-    progress = failure = None
-    if job.phase is not None:
-        progress = {"phase": job.phase, "step": job.step, "steps": job.steps}
-    if job.failure_kind is not None:
-        failure = {"kind": job.failure_kind, "detail": job.failure_detail}
-    return {name: getattr(job, name) for name in _OF_THE_RECORD} | {
-        "created": job.created_at,
-        "times": times_of(job),
-        "waiting": job.waiting if job.state is State.QUEUED else None,
-        "progress": progress,
-        "tags": job.tags or [],
-        "errors": job.errors or [],
-        "outcome": job.outcome or None,
-        "failure": failure,
-    }
-
-
-_OF_THE_RECORD = (
-    *("id", "state", "attempt", "priority", "kind", "seed", "title", "retry_of", "checked", "warnings"),
-    *("name", "scene", "attack", "renderer", "method", "target", "question"),
-)
-"""The fields of a job that are as the record has them."""
 
 
 class JobPage(BaseModel):
@@ -339,11 +300,6 @@ class CampaignSummary(BaseModel):
     failure: str | None = Field(description="why the campaign cannot go on")
     progress: CampaignProgress
 
-    @classmethod
-    def of(cls, campaign: "Campaign", progress: "Progress") -> Self:
-        """The summary of a campaign in the database."""
-        return cls(**_campaign_fields(campaign, progress))
-
 
 class CampaignView(CampaignSummary):
     """A campaign with its request and its results so far."""
@@ -356,21 +312,6 @@ class CampaignView(CampaignSummary):
     successes: int = Field(description="jobs so far that fooled a network that was right, verified")
     reused: int = Field(description="jobs so far whose result was there already")
     seconds_left: float | None = Field(description="estimated from the jobs that have ended; null before that")
-
-    @classmethod
-    def of_whole(cls, campaign: "Campaign", progress: "Progress", counts: "Counts") -> Self:
-        """The view of a campaign that was read whole."""
-        chosen = sum(bool(view["chosen"]) for view in campaign.views or [])
-        return cls(**_campaign_fields(campaign, progress), spec=campaign.spec, chosen=chosen, **asdict(counts))
-
-    @classmethod
-    def accepted(cls, campaign: "Campaign", spec: CampaignSpec) -> Self:
-        """The view of a campaign when it was accepted, whatever has become of it since."""
-        from services.jobs.campaigns import Progress  # imports the database, which a client has not
-
-        begun = {"state": CampaignState.SELECTING, "selected": None, "paused": None, "ended": None, "failure": None}
-        fields = _campaign_fields(campaign, Progress(0, 0, 0, 0)) | begun
-        return cls(**fields, spec=spec, chosen=0, outcomes={}, successes=0, reused=0, seconds_left=None)
 
 
 class CampaignPage(BaseModel):
@@ -398,46 +339,12 @@ class CampaignJobView(BaseModel):
     reused: bool = Field(description="whether the job is an earlier one of the same request")
     outcome: Outcome | None = Field(description="the job's outcome, once it succeeded")
 
-    @classmethod
-    def of(cls, planned: "CampaignJob", job: "Job | None") -> Self:
-        """The view of a planned job and of the job in the database."""
-        return cls(
-            number=planned.number,
-            target=planned.target,
-            attack=planned.attack,
-            view=planned.view,
-            job=planned.job_id,
-            state=None if job is None else job.state,
-            reused=planned.reused,
-            outcome=None if job is None or job.outcome is None else Outcome.model_validate(job.outcome),
-        )
-
 
 class CampaignJobPage(BaseModel):
     """A page of a campaign's jobs, in the order in which they are queued."""
 
     items: list[CampaignJobView]
     next: int | None = Field(description="`after` of the page after this one; null on the last")
-
-
-def _campaign_fields(campaign: "Campaign", progress: "Progress") -> dict[str, Any]:
-    return {
-        "id": campaign.id,
-        "name": campaign.name,
-        "state": campaign.state,
-        "created": campaign.created_at,
-        "selected": campaign.selected_at,
-        "paused": campaign.paused_at,
-        "ended": campaign.ended_at,
-        "failure": campaign.failure,
-        "progress": {
-            "views": campaign.view_count,
-            "answered": progress.views_answered,
-            "jobs": progress.jobs,
-            "ended": progress.ended,
-            "running": progress.running,
-        },
-    }
 
 
 TAG_PATTERN = re.compile(r'[^\s,:"\x00-\x1f\x7f-\x9f]{1,50}')

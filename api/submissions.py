@@ -11,6 +11,7 @@ from sqlalchemy.exc import IntegrityError
 from starlette.concurrency import run_in_threadpool
 
 from api.schemas import JobView
+from api.views import job_view
 from api.warm_pool import NoneFree, TooSlow, Unavailable, WarmPool
 from services.access.caller import Caller, Quotas
 from services.errors import InvalidRequest
@@ -230,4 +231,4 @@ class Submissions:
 
 
 def _answer(job: Job) -> dict[str, Any]:
-    return JobView.of(job).model_dump(mode="json")
+    return job_view(job).model_dump(mode="json")

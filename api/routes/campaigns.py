@@ -19,12 +19,11 @@ from api.requests import (
 )
 from api.schemas import (
     CampaignJobPage,
-    CampaignJobView,
     CampaignPage,
-    CampaignSummary,
     CampaignView,
     ViewList,
 )
+from api.views import accepted_campaign, campaign_job_view, campaign_summary, campaign_view
 from services.analysis.campaign_table import cases_to_csv, to_csv, to_latex
 from services.jobs.jobs import Key
 from services.jobs.models import Campaign, CampaignState
@@ -72,7 +71,7 @@ async def submit_campaign(
         whose, most = caller.owner, services.quotas.campaigns_of(caller.owner)
         campaign = await run_in_threadpool(services.record.campaigns.submit, spec, idempotency_key, whose, asked, most)
     # The answer to a long list of jobs is large, so it is written in a thread too.
-    answer = await run_in_threadpool(lambda: CampaignView.accepted(campaign, spec).model_dump_json())
+    answer = await run_in_threadpool(lambda: accepted_campaign(campaign, spec).model_dump_json())
     headers = {"Location": f"/v1/campaigns/{campaign.id}"}
     return Response(answer, 202, headers, "application/json")
 
@@ -90,7 +89,7 @@ def list_campaigns(
     rows = record.page(state, limit + 1, None if cursor is None else read_campaign_cursor(cursor), caller.only)
     progress = record.progress([campaign.id for campaign in rows])
     return CampaignPage(
-        items=[CampaignSummary.of(campaign, progress[campaign.id]) for campaign in rows[:limit]],
+        items=[campaign_summary(campaign, progress[campaign.id]) for campaign in rows[:limit]],
         next=campaign_cursor(rows[limit - 1]) if len(rows) > limit else None,
     )
 
@@ -143,7 +142,7 @@ def list_campaign_jobs(
 ) -> CampaignJobPage:
     """Lists the planned jobs in the order in which they are queued."""
     rows = services.record.campaigns.jobs(campaign.id, limit + 1, after)
-    items = [CampaignJobView.of(planned, job) for planned, job in rows[:limit]]
+    items = [campaign_job_view(planned, job) for planned, job in rows[:limit]]
     return CampaignJobPage(items=items, next=items[-1].number if len(rows) > limit else None)
 
 
@@ -191,6 +190,6 @@ def _again(campaign: Campaign, services: Services) -> Campaign:
 
 
 def _view(campaign: Campaign, services: Services) -> CampaignView:
-    return CampaignView.of_whole(
+    return campaign_view(
         campaign, services.record.campaigns.progress([campaign.id])[campaign.id], services.campaign_counts(campaign.id)
     )

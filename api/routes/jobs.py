@@ -24,8 +24,9 @@ from api.requests import (
     no_such,
     while_connected,
 )
-from api.schemas import JobEdit, JobPage, JobSummary, JobView, PreviewView
+from api.schemas import JobEdit, JobPage, JobView, PreviewView
 from api.submissions import key_of
+from api.views import job_summary, job_view
 from services.access.caller import Caller
 from services.jobs.files import delete_with_files
 from services.jobs.job_list import EXAMPLE, LONGEST_QUERY, Term, parse_query
@@ -87,7 +88,7 @@ async def answered(job: JobView, wait: float | None, services: Services, respons
     if ended is None:
         return job
     response.status_code = 200
-    return JobView.of(ended, with_result=True)
+    return job_view(ended, with_result=True)
 
 
 @router.get("/jobs", response_model=JobPage)
@@ -115,7 +116,7 @@ def list_jobs(
     about: dict[str, Any] = {"sort": sort, "after": place.after, "before": place.before, "owner": caller.only}
     shown = services.record.lists.page(terms, limit, **about)
     after, before = page_cursors(shown, sort)
-    items = [JobSummary.listed(job) for job in shown.jobs]
+    items = [job_summary(job) for job in shown.jobs]
     return _json(JobPage(items=items, next=after, previous=before))
 
 
@@ -125,7 +126,7 @@ def get_job(job_id: str, services: ServicesDependency, caller: CallerDependency)
     job = caller.visible(services.record.jobs.get(job_id, with_result=True))
     if job is None:
         raise no_such("job")
-    return _json(JobView.of(job, with_result=True))
+    return _json(job_view(job, with_result=True))
 
 
 def _json(answer: BaseModel) -> Response:
@@ -145,7 +146,7 @@ def edit_job(
     edited = services.record.jobs.get(job.id)
     if edited is None:
         raise no_such("job")
-    return JobView.of(edited)
+    return job_view(edited)
 
 
 @router.post("/jobs/{job_id}/retry", status_code=202)
@@ -171,7 +172,7 @@ def cancel_job(job: KnownJob, services: ServicesDependency) -> JobView:
     asked = services.storage.even_if_full(lambda: services.record.jobs.request_cancel(job.id))
     if asked is None:
         raise no_such("job")
-    return JobView.of(asked)
+    return job_view(asked)
 
 
 @router.post("/jobs/{job_id}/continue", status_code=202)
