@@ -10,10 +10,12 @@ WORKDIR /app
 # Packages, meshes and environment maps change seldom: they are layers of their own.
 COPY requirements.txt requirements-torch.txt pyproject.toml README.md LICENSE NOTICE ./
 COPY scripts/setup scripts/assets.sha256 scripts/
-COPY services/__init__.py services/
-COPY api/__init__.py api/
-COPY worker/__init__.py worker/
-COPY client/__init__.py client/
+COPY services/scene_attack/__init__.py services/scene_attack/
+COPY services/scene_attack_service/__init__.py services/scene_attack_service/
+COPY services/scene_attack_questions/__init__.py services/scene_attack_questions/
+COPY services/scene_attack_accuracy/__init__.py services/scene_attack_accuracy/
+COPY api/scene_attack_api/__init__.py api/scene_attack_api/
+COPY worker/scene_attack_worker/__init__.py worker/scene_attack_worker/
 ENV SCENE_ATTACK_CACHE=/assets
 RUN scripts/setup && chmod -R a+rX /assets
 # The kernels, for other machines than the one that builds. They lie outside of the cache, which is a volume: a new image
@@ -21,7 +23,7 @@ RUN scripts/setup && chmod -R a+rX /assets
 COPY services services
 ENV SCENE_ATTACK_KERNEL_ARCH=portable \
     SCENE_ATTACK_KERNEL_DIR=/kernels
-RUN .venv/bin/python -m services.rendering.kernels.build
+RUN .venv/bin/python -m scene_attack.rendering.kernels.build
 
 FROM debian:12-slim AS production
 
@@ -40,7 +42,6 @@ COPY pyproject.toml README.md ./
 COPY services services
 COPY api api
 COPY worker worker
-COPY client client
 
 ENV PATH=/app/.venv/bin:$PATH \
     PYTHONDONTWRITEBYTECODE=1 \

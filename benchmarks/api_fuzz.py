@@ -21,8 +21,8 @@ from pathlib import Path
 
 import httpx
 
-from services.settings import Settings
-from worker.stack import EmbeddedRedis
+from scene_attack_service.settings import Settings
+from scene_attack_worker.stack import EmbeddedRedis
 
 CONFIG = Path(__file__).with_suffix(".toml")
 START_SECONDS = 120.0
@@ -53,7 +53,7 @@ def served(folder: Path) -> Iterator[Server]:
     redis = EmbeddedRedis()
     options = {"data": folder / "data", "redis_url": redis.url, "max_queued": 100_000}
     environ = os.environ | Settings.model_validate(options).environ()
-    command = [sys.executable, "-m", "client", "keys", "create", "fuzz", "--scope", "admin", "--json"]
+    command = [sys.executable, "-m", "scene_attack", "keys", "create", "fuzz", "--scope", "admin", "--json"]
     key = json.loads(subprocess.run(command, env=environ, capture_output=True, check=True).stdout)["key"]
     log = folder / "api.log"
     with socket.create_server(("127.0.0.1", 0)) as listener, log.open("w") as log_file:
@@ -61,7 +61,7 @@ def served(folder: Path) -> Iterator[Server]:
         programs = [
             subprocess.Popen(redis.program().command(), stdout=subprocess.DEVNULL),
             subprocess.Popen(
-                [sys.executable, "-m", "api.main", str(listener.fileno())],
+                [sys.executable, "-m", "scene_attack_api.main", str(listener.fileno())],
                 env=environ,
                 pass_fds=[listener.fileno()],
                 stderr=log_file,

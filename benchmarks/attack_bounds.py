@@ -19,20 +19,20 @@ from pydantic import BaseModel, ConfigDict, Field
 from rich.progress import track
 
 from benchmarks.report import RESULTS, head, save
-from client.settings import settings_to_run
-from services.accuracy.provenance import backend
-from services.attacks.fgsm import Fgsm
-from services.attacks.goal import ResolvedGoal
-from services.attacks.limits import Limits
-from services.attacks.problem import AttackProblem, Evaluation, differentiate, evaluate, quantize
-from services.rendering.opengl.gbuffer import rasterise
-from services.rendering.plan import GradientError
-from services.rendering.torch_renderer.declaration import TORCH
-from services.rendering.torch_renderer.renderer import TorchRenderer
-from services.scenes.description import Scene
-from services.scenes.library import Library
-from services.scenes.resolve import resolve
-from services.targets import registry
+from scene_attack.attacks.fgsm import Fgsm
+from scene_attack.attacks.goal import ResolvedGoal
+from scene_attack.attacks.limits import Limits
+from scene_attack.attacks.problem import AttackProblem, Evaluation, differentiate, evaluate, quantize
+from scene_attack.cli.settings import settings_to_run
+from scene_attack.rendering.opengl.gbuffer import rasterise
+from scene_attack.rendering.plan import GradientError
+from scene_attack.rendering.torch.declaration import TORCH
+from scene_attack.rendering.torch.renderer import TorchRenderer
+from scene_attack.scenes.description import Scene
+from scene_attack.scenes.library import Library
+from scene_attack.scenes.resolve import resolve
+from scene_attack.targets import registry
+from scene_attack_accuracy.provenance import backend
 
 FLAT = ("primitive/plane", "primitive/cube", "furniture/table4")
 """Meshes with few distinct normals, which an attack moves far from the normals at which a table was measured."""

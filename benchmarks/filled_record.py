@@ -6,11 +6,11 @@ from typing import Any
 
 from sqlalchemy.orm import Session
 
-from services.jobs.database import connect
-from services.jobs.models import Job, State, listed, listed_outcome
-from services.jobs.queue import Needs
-from services.pipeline.spec import parse
-from services.settings import Settings
+from scene_attack.runs.spec import parse
+from scene_attack_service.jobs.database import connect
+from scene_attack_service.jobs.models import Job, State, listed, listed_outcome
+from scene_attack_service.jobs.queue import Needs
+from scene_attack_service.settings import Settings
 
 MESHES = ("furniture/grand-piano", "furniture/sofa", "primitive/sphere", "primitive/cube")
 

@@ -24,14 +24,14 @@ from benchmarks.gltf_models import MODELS, two_uv_sets
 from benchmarks.page import load, provenance
 from benchmarks.report import RESULTS, save
 from benchmarks.stale import ROOT
-from services.accuracy.tables import table
-from services.rendering.opengl import context
-from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
-from services.scenes.description import Camera, Lights, Scene, SceneObject
-from services.scenes.library import Library
-from services.scenes.mesh import FIT_RADIUS
-from services.scenes.resolve import resolve
-from services.scenes.view import camera_to_world
+from scene_attack.rendering.opengl import context
+from scene_attack.rendering.pyrender.renderer import PyrenderRenderer
+from scene_attack.scenes.description import Camera, Lights, Scene, SceneObject
+from scene_attack.scenes.library import Library
+from scene_attack.scenes.mesh import FIT_RADIUS
+from scene_attack.scenes.resolve import resolve
+from scene_attack.scenes.view import camera_to_world
+from scene_attack_accuracy.tables import table
 
 PAGE = ROOT / "docs" / "reports" / "gltf.md"
 SIZE = (256, 256)

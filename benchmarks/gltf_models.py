@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from services.accuracy.stability.gltf_file import Arrays, Writer
+from scene_attack_accuracy.stability.gltf_file import Arrays, Writer
 
 
 def sphere(radius: float = 1.0, rings: int = 48) -> Arrays:

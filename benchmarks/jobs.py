@@ -1,6 +1,6 @@
 """Compares whole FGSM jobs with the network's own passes, and measures their memory. Writes results/jobs.json.
 
-A job of 120 steps runs through services.pipeline.execute in a process set up as a worker's. Its learning rate is so
+A job of 120 steps runs through scene_attack.runs.execute in a process set up as a worker's. Its learning rate is so
 small that the image does not change, so the network holds and all steps run. After each step, the network alone makes a
 forward and backward pass on an image of 224², because the speed of a shared machine changes from second to second, and
 so that job and pass find the processor's caches in the same state. The time of these passes is subtracted from the
@@ -23,14 +23,14 @@ from typing import Any
 import torch
 
 from benchmarks.report import RESULTS, save, shortest
-from client.settings import settings_to_run
-from services.jobs.processes import ALLOCATOR, warm_up
-from services.pipeline.execute import Progress, execute
-from services.pipeline.prepare import prepare
-from services.pipeline.spec import JobSpec, parse
-from services.scenes.library import Library
-from services.targets import registry
-from services.targets.protocol import Target
+from scene_attack.cli.settings import settings_to_run
+from scene_attack.runs.execute import Progress, execute
+from scene_attack.runs.prepare import prepare
+from scene_attack.runs.spec import JobSpec, parse
+from scene_attack.scenes.library import Library
+from scene_attack.targets import registry
+from scene_attack.targets.protocol import Target
+from scene_attack_service.jobs.processes import ALLOCATOR, warm_up
 
 ATTACKS: dict[str, dict[str, Any]] = {
     "image": {"renderer": "image"},

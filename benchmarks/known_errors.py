@@ -17,17 +17,17 @@ import torch
 from torch import Tensor
 
 from benchmarks.report import RESULTS, save
-from services.process import use
-from services.rendering.plan import DEFAULT_TOLERANCE
-from services.rendering.protocol import Renderer
-from services.rendering.torch_renderer.renderer import TorchRenderer
-from services.scenes.description import Scene
-from services.scenes.library import Library
-from services.scenes.resolve import resolve
-from services.settings import Settings
-from services.targets import registry
-from services.targets.protocol import Target
-from services.targets.scores import log_odds
+from scene_attack.process import use
+from scene_attack.rendering.plan import DEFAULT_TOLERANCE
+from scene_attack.rendering.protocol import Renderer
+from scene_attack.rendering.torch.renderer import TorchRenderer
+from scene_attack.scenes.description import Scene
+from scene_attack.scenes.library import Library
+from scene_attack.scenes.resolve import resolve
+from scene_attack.targets import registry
+from scene_attack.targets.protocol import Target
+from scene_attack.targets.scores import log_odds
+from scene_attack_service.settings import Settings
 
 SPECK = {"size": 0.02, "height": -0.35}
 """A floor of a few pixels below the objects."""

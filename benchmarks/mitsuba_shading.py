@@ -19,7 +19,7 @@ import numpy as np
 import torch
 
 from benchmarks.peers import reach
-from services.rendering.color import to_display
+from scene_attack.rendering.color import to_display
 
 LLVM = "/usr/lib/x86_64-linux-gnu/libLLVM.so.19.1"
 """The LLVM library to load. Without the setting, Mitsuba may load another version on the machine, and abort."""

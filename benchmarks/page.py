@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.report import RESULTS
-from services.accuracy.tables import table
+from scene_attack_accuracy.tables import table
 
 PAGE = Path(__file__).parents[1] / "docs" / "reports" / "benchmarks.md"
 INTRODUCTION = """# Benchmarks

@@ -16,19 +16,19 @@ from torch import Tensor
 from benchmarks.peers import Lite0, reach
 from benchmarks.report import RESULTS, save
 from benchmarks.views import VIEWS
-from client.settings import settings_to_run
-from services.attacks.attack import ATTACKS, Attack
-from services.attacks.goal import ResolvedGoal
-from services.attacks.limits import Limits
-from services.attacks.problem import AttackProblem, at_random_start, differentiate, evaluate
-from services.attacks.run import AttackRun, Verifier, run_attack
-from services.pipeline.prepare import prepare
-from services.pipeline.spec import parse
-from services.rendering.color import from_bytes, to_bytes
-from services.rendering.image_renderer import ImageRenderer
-from services.scenes.library import Library
-from services.targets import registry
-from services.targets.protocol import Target
+from scene_attack.attacks.attack import ATTACKS, Attack
+from scene_attack.attacks.goal import ResolvedGoal
+from scene_attack.attacks.limits import Limits
+from scene_attack.attacks.problem import AttackProblem, at_random_start, differentiate, evaluate
+from scene_attack.attacks.run import AttackRun, Verifier, run_attack
+from scene_attack.cli.settings import settings_to_run
+from scene_attack.rendering.color import from_bytes, to_bytes
+from scene_attack.rendering.image import ImageRenderer
+from scene_attack.runs.prepare import prepare
+from scene_attack.runs.spec import parse
+from scene_attack.scenes.library import Library
+from scene_attack.targets import registry
+from scene_attack.targets.protocol import Target
 
 AZIMUTHS = (0.61, -0.61, 1.2)
 """Views of each model, until there are enough that the network gets right."""

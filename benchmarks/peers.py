@@ -6,7 +6,7 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
-from services.targets.networks import EfficientNetLite
+from scene_attack.targets.networks import EfficientNetLite
 
 PEERS = Path(__file__).with_name(".peers")
 

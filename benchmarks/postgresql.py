@@ -17,7 +17,7 @@ import psutil
 import psycopg
 from psycopg.sql import SQL, Identifier
 
-from services.confinement import die_with_parent
+from scene_attack.confinement import die_with_parent
 
 PATIENCE = 30.0
 """Longest time in seconds to set up, start or end a server."""

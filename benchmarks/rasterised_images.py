@@ -20,16 +20,16 @@ from torch import Tensor
 
 from benchmarks.report import save
 from benchmarks.stale import ROOT
-from services.process import use
-from services.rendering.opengl import context
-from services.rendering.plan import ImageError, image_error
-from services.rendering.pyrender_renderer.declaration import PYRENDER
-from services.rendering.pyrender_renderer.planner import MEASURED_REACH, both_sides
-from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
-from services.scenes.description import Scene
-from services.scenes.library import Library
-from services.scenes.resolve import resolve
-from services.settings import Settings
+from scene_attack.process import use
+from scene_attack.rendering.opengl import context
+from scene_attack.rendering.plan import ImageError, image_error
+from scene_attack.rendering.pyrender.declaration import PYRENDER
+from scene_attack.rendering.pyrender.planner import MEASURED_REACH, both_sides
+from scene_attack.rendering.pyrender.renderer import PyrenderRenderer
+from scene_attack.scenes.description import Scene
+from scene_attack.scenes.library import Library
+from scene_attack.scenes.resolve import resolve
+from scene_attack_service.settings import Settings
 
 MESHES = (
     *("primitive/sphere", "primitive/cube", "primitive/torus", "primitive/cylinder"),

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from benchmarks.stale import DEPENDS, ROOT
-from services.process import versions
+from scene_attack.process import versions
 
 RESULTS = Path(__file__).parent / "results"
 VERSIONED = ("scene-attack", "torch", "numpy", "pyrender-maintained")

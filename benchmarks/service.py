@@ -36,13 +36,13 @@ from benchmarks.chaos.service import Service
 from benchmarks.filled_record import fill
 from benchmarks.postgresql import Server
 from benchmarks.report import RESULTS, save
-from services.jobs.database import connect, migrate
-from services.jobs.models import State
-from services.jobs.queue import Abilities
-from services.jobs.record import Record
-from services.jobs.states import Priority
-from services.pipeline.spec import parse
-from services.settings import Settings
+from scene_attack.client.states import Priority
+from scene_attack.runs.spec import parse
+from scene_attack_service.jobs.database import connect, migrate
+from scene_attack_service.jobs.models import State
+from scene_attack_service.jobs.queue import Abilities
+from scene_attack_service.jobs.record import Record
+from scene_attack_service.settings import Settings
 
 COLD = 10
 """Jobs of a new service that are not timed: they load the data and modules of later ones."""
@@ -52,7 +52,7 @@ QUEUED = 1000
 """Jobs that stay queued beside those whose operations are timed."""
 ENOUGH = 1.7
 """Ratio that two workers should reach."""
-MODULES = ("worker.job_process", "worker.rq_worker", "api.main")
+MODULES = ("scene_attack_worker.job_process", "scene_attack_worker.rq_worker", "scene_attack_api.main")
 PAGES = {
     "newest first": "/",
     "sorted by p": "/?sort=p",

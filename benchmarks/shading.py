@@ -21,19 +21,19 @@ import torch
 from torch import Tensor
 
 from benchmarks.report import RESULTS, save, shortest
-from client.settings import settings_to_run
-from services.attacks.problem import generator
-from services.pipeline.spec import parse
-from services.rendering.color import to_display
-from services.rendering.factory import build
-from services.rendering.opengl.gbuffer import rasterise
-from services.rendering.protocol import Parameters, Renderer
-from services.rendering.torch_renderer import dsbrdf
-from services.rendering.torch_renderer.dsbrdf import MATERIAL_UNIT, colored_lobes
-from services.rendering.torch_renderer.light import directions, illumination, solid_angles
-from services.rendering.torch_renderer.table import to_vectors
-from services.scenes.library import Library
-from services.scenes.resolve import ResolvedScene, resolve
+from scene_attack.attacks.problem import generator
+from scene_attack.cli.settings import settings_to_run
+from scene_attack.rendering.color import to_display
+from scene_attack.rendering.factory import build
+from scene_attack.rendering.opengl.gbuffer import rasterise
+from scene_attack.rendering.protocol import Parameters, Renderer
+from scene_attack.rendering.torch import dsbrdf
+from scene_attack.rendering.torch.dsbrdf import MATERIAL_UNIT, colored_lobes
+from scene_attack.rendering.torch.light import directions, illumination, solid_angles
+from scene_attack.rendering.torch.table import to_vectors
+from scene_attack.runs.spec import parse
+from scene_attack.scenes.library import Library
+from scene_attack.scenes.resolve import ResolvedScene, resolve
 
 GROUPS: dict[str, tuple[str, ...]] = {
     "all": ("normals", "illumination", "material"),

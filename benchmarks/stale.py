@@ -29,14 +29,14 @@ if TYPE_CHECKING:
 
     from torch import Tensor
 
-    from services.rendering.protocol import Renderer
-    from services.scenes.library import Library
+    from scene_attack.rendering.protocol import Renderer
+    from scene_attack.scenes.library import Library
 
 ROOT = Path(__file__).parents[1]
 SIGNED = Path(__file__).parent / "results" / "fingerprints.json"
 CACHED = Path(__file__).parent / ".fingerprints.json"
 """The last computed fingerprints, with a hash of the code that computed them; ignored by git."""
-CODE = ("services/rendering", "services/scenes", "services/targets")
+CODE = ("services/scene_attack/rendering", "services/scene_attack/scenes", "services/scene_attack/targets")
 """The folders whose code decides images and scores."""
 BOTH = ("pyrender", "torch")
 LITE0, ALEXNET, RESNET, IEP = "efficientnet-lite0", "alexnet-furniture", "resnet34-furniture", "iep"
@@ -145,10 +145,10 @@ def fingerprints() -> dict[str, str]:
     """The fingerprint of each renderer and each network that ships. Computed once for the code as it is."""
     if (known := cached()) is not None:
         return known
-    from client.settings import settings_to_run
-    from services.pipeline.extensions import set_up
-    from services.rendering.opengl.context import gl_backend
-    from services.scenes.library import Library
+    from scene_attack.cli.settings import settings_to_run
+    from scene_attack.rendering.opengl.context import gl_backend
+    from scene_attack.runs.extensions import set_up
+    from scene_attack.scenes.library import Library
 
     settings = settings_to_run()
     set_up(settings)
@@ -170,10 +170,10 @@ def cached() -> dict[str, str] | None:
 
 def renderer_print(name: str, library: Library, scenes: Sequence[dict[str, Any]] = SCENES) -> str:
     """A hash of a renderer's exact images of scenes, and of its gradients if it is differentiable."""
-    from services.rendering.declaration import RENDERERS
-    from services.rendering.factory import build
-    from services.scenes.description import Scene
-    from services.scenes.resolve import resolve
+    from scene_attack.rendering.declaration import RENDERERS
+    from scene_attack.rendering.factory import build
+    from scene_attack.scenes.description import Scene
+    from scene_attack.scenes.resolve import resolve
 
     hashed = hashlib.sha256()
     for scene in scenes:
@@ -188,8 +188,8 @@ def _behaviour(renderer: Renderer) -> Iterator[Tensor]:
     """Images uint8 [2, H, W, 3], the scene's own and a moved one, and rounded gradients of a weighted sum by group."""
     import torch
 
-    from services.attacks.problem import generator
-    from services.rendering.color import quantize
+    from scene_attack.attacks.problem import generator
+    from scene_attack.rendering.color import quantize
 
     own = renderer.initial()
     bounds = renderer.bounds()
@@ -213,8 +213,8 @@ def network_print(name: str) -> str:
     """A hash of a network's scores, in float64, for four fixed images of 96 × 128: noise of several grains."""
     import torch
 
-    from services.attacks.problem import generator
-    from services.targets import registry
+    from scene_attack.attacks.problem import generator
+    from scene_attack.targets import registry
 
     target = registry.load(name, torch.float64)
     images = torch.cat(
@@ -246,7 +246,7 @@ def _hash(path: Path) -> str:
 
 def _code() -> str:
     """A hash of the files of CODE and of the packages that compute."""
-    from services.process import versions
+    from scene_attack.process import versions
 
     hashed = hashlib.sha256(str(versions("torch", "numpy", "pyrender-maintained", "PyOpenGL")).encode())
     command = ["git", "ls-files", "-co", "--exclude-standard", *CODE]

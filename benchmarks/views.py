@@ -4,10 +4,10 @@ import json
 from collections.abc import Iterator
 from pathlib import Path
 
-from services.errors import InvalidRequest
-from services.pipeline.prepare import prepare
-from services.pipeline.spec import parse
-from services.scenes.library import Library
+from scene_attack.errors import InvalidRequest
+from scene_attack.runs.prepare import prepare
+from scene_attack.runs.spec import parse
+from scene_attack.scenes.library import Library
 
 VIEWS = Path(__file__).with_name("views.json")
 

@@ -27,30 +27,29 @@ from typing import Any
 import httpx
 from redis import Redis
 
-import api.warm_pool
-import worker.rq_worker
-from api.main import create_app, server
-from services.jobs import warm_process
-from services.jobs.database import connect as connect_database
-from services.jobs.database import migrate
-from services.jobs.files import ArtifactStore
-from services.jobs.leases import Attempt
-from services.jobs.queue import connect as connect_redis
-from services.jobs.record import Record
-from services.pipeline.extensions import set_up
-from services.process import use
-from services.scenes.library import Library
-from services.settings import Settings
-from worker import job_process
-from worker.rq_worker import JobWorker, Runner
-from worker.stack import EmbeddedRedis
+from scene_attack.process import use
+from scene_attack.runs.extensions import set_up
+from scene_attack.scenes.library import Library
+from scene_attack_api import warm_pool
+from scene_attack_api.main import create_app, server
+from scene_attack_service.jobs import warm_process
+from scene_attack_service.jobs.database import connect as connect_database
+from scene_attack_service.jobs.database import migrate
+from scene_attack_service.jobs.files import ArtifactStore
+from scene_attack_service.jobs.leases import Attempt
+from scene_attack_service.jobs.queue import connect as connect_redis
+from scene_attack_service.jobs.record import Record
+from scene_attack_service.settings import Settings
+from scene_attack_worker import job_process, rq_worker
+from scene_attack_worker.rq_worker import JobWorker, Runner
+from scene_attack_worker.stack import EmbeddedRedis
 
 ROOMS = {
-    "API": "api/",
-    "record": "services/jobs/",
-    "worker": "worker/",
-    "engine: pipeline": "services/pipeline/",
-    "engine: attacks": "services/attacks/",
+    "API": "api/scene_attack_api/",
+    "record": "services/scene_attack_service/jobs/",
+    "worker": "worker/scene_attack_worker/",
+    "engine: pipeline": "services/scene_attack/runs/",
+    "engine: attacks": "services/scene_attack/attacks/",
 }
 GOAL = 25
 """Files that a reader should meet at most."""
@@ -92,7 +91,7 @@ class LocalChild:
         self._answer: Future[dict[str, Any]] | None = RENDERING.submit(lambda: ready)
 
         def answer(message: dict[str, Any]) -> dict[str, Any]:
-            if module == api.warm_pool.PROGRAM:
+            if module == warm_pool.PROGRAM:
                 return warm_process.answer(message, library, store)
             return job_process.answer(jobs, Attempt(message["job"], message["attempt"]))
 
@@ -177,7 +176,7 @@ def main() -> int:
     walk = Walk()
     threading.setprofile(walk)
     sys.setprofile(walk)
-    api.warm_pool.Child = worker.rq_worker.Child = LocalChild  # type: ignore[assignment, misc]
+    warm_pool.Child = rq_worker.Child = LocalChild  # type: ignore[assignment, misc]
     with TemporaryDirectory() as folder, service(Path(folder) / "data") as (settings, client):
         runner = Runner(settings, Record(connect_database(settings)), "walk")
         redis = connect_redis(settings.redis_url)

@@ -22,15 +22,15 @@ import torch
 
 from benchmarks.report import RESULTS, save
 from benchmarks.views import right
-from client.settings import settings_to_run
-from services.attacks.problem import AttackProblem, evaluate
-from services.jobs.processes import ALLOCATOR
-from services.pipeline.prepare import prepare
-from services.pipeline.spec import parse
-from services.rendering.opengl import context
-from services.rendering.pyrender_renderer.planner import both_sides
-from services.scenes.library import Library
-from services.scenes.resolve import ResolvedScene
+from scene_attack.attacks.problem import AttackProblem, evaluate
+from scene_attack.cli.settings import settings_to_run
+from scene_attack.rendering.opengl import context
+from scene_attack.rendering.pyrender.planner import both_sides
+from scene_attack.runs.prepare import prepare
+from scene_attack.runs.spec import parse
+from scene_attack.scenes.library import Library
+from scene_attack.scenes.resolve import ResolvedScene
+from scene_attack_service.jobs.processes import ALLOCATOR
 
 SEED = 0
 LIMIT = 1.5

@@ -10,14 +10,14 @@ from pathlib import Path
 import torch
 from PIL import Image
 
-from client.settings import settings_to_run
-from services.rendering.color import to_bytes
-from services.rendering.opengl.gbuffer import rasterise
-from services.rendering.torch_renderer.dsbrdf import presets
-from services.rendering.torch_renderer.renderer import TorchRenderer
-from services.scenes.description import Scene
-from services.scenes.library import Library
-from services.scenes.resolve import resolve
+from scene_attack.cli.settings import settings_to_run
+from scene_attack.rendering.color import to_bytes
+from scene_attack.rendering.opengl.gbuffer import rasterise
+from scene_attack.rendering.torch.dsbrdf import presets
+from scene_attack.rendering.torch.renderer import TorchRenderer
+from scene_attack.scenes.description import Scene
+from scene_attack.scenes.library import Library
+from scene_attack.scenes.resolve import resolve
 
 ROOT = Path(__file__).resolve().parents[1]
 

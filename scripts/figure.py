@@ -10,7 +10,7 @@ from pathlib import Path
 
 from PIL import Image, ImageDraw, ImageFont
 
-from services.pipeline.result import Result
+from scene_attack.runs.result import Result
 
 SIDE, GAP, HEADING, CAPTION = 336, 12, 34, 60
 PAPER, INK, SOFT = "#ffffff", "#1c1930", "#5d5875"

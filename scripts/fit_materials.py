@@ -1,6 +1,6 @@
 """Fits the material presets: the DSBRDF coefficients that are nearest to analytic reference BRDFs.
 
-    python scripts/fit_materials.py                writes services/rendering/torch_renderer/presets.json
+    python scripts/fit_materials.py                writes services/scene_attack/rendering/torch/presets.json
     python scripts/fit_materials.py --help         what can be set
 
 The references and how they are brought to (θ_h, θ_d) are described in docs/reports/materials.md.
@@ -22,7 +22,7 @@ import torch
 from scipy.optimize import OptimizeResult, least_squares
 from torch import Tensor
 
-from services.rendering.torch_renderer import dsbrdf
+from scene_attack.rendering.torch import dsbrdf
 
 ROOT = Path(__file__).resolve().parents[1]
 THETA_H, THETA_D, PHI_D = 72, 24, 128
@@ -259,7 +259,7 @@ def main() -> None:
     parser.add_argument(
         "--out",
         type=Path,
-        default=ROOT / "services" / "rendering" / "torch_renderer" / "presets.json",
+        default=ROOT / "services" / "scene_attack" / "rendering" / "torch" / "presets.json",
         help="file to write",
     )
     parser.add_argument("--seed", type=int, default=0, help="of the random starts")

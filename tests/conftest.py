@@ -11,11 +11,11 @@ import structlog
 from redis import Redis
 from redis.exceptions import RedisError
 
-from services.pipeline.extensions import set_up
-from services.settings import Settings
+from scene_attack.runs.extensions import set_up
+from scene_attack_service.settings import Settings
+from scene_attack_worker.stack import EmbeddedRedis
 from tests import object_store, postgresql
 from tests.postgresql import Postgresql
-from worker.stack import EmbeddedRedis
 
 # Torch has one thread in every process of the tests: in this one, from when it is imported, in those that a test
 # starts, and in those that follow the setting. So the two processes of `scripts/test` do not fight for cores, and all

@@ -8,9 +8,9 @@ from psycopg.sql import SQL, Identifier
 
 from benchmarks.postgresql import Server
 from benchmarks.postgresql import free_port as free_port
-from services.jobs.database import connect, migrate
-from services.jobs.models import Base
-from services.settings import Settings
+from scene_attack_service.jobs.database import connect, migrate
+from scene_attack_service.jobs.models import Base
+from scene_attack_service.settings import Settings
 
 TIME_ZONE = "America/St_Johns"
 """Of the server, and so of its sessions: none that a test could agree with by chance."""

@@ -7,8 +7,8 @@ from contextlib import contextmanager, suppress
 from redis import Redis
 from redis.exceptions import ConnectionError as Away
 
+from scene_attack_worker.stack import find_server
 from tests.postgresql import free_port
-from worker.stack import find_server
 
 PASSWORD = "p@ss/word"
 QUOTED = "p%40ss%2Fword"

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from services.settings import Settings
+    from scene_attack_service.settings import Settings
     from training.loop import Said
 
 OUT = Path("out/training")
@@ -40,8 +40,8 @@ def split(
     seed: Annotated[int, typer.Option(min=0, help="Seed of the order in which families are held out.")] = 0,
 ) -> None:
     """Divide the library's models by family, and choose the classes inside the training models."""
-    from client.console import err
-    from client.specs import local_library
+    from scene_attack.cli.console import err
+    from scene_attack.cli.specs import local_library
     from training.split import PATH, make, save
 
     settings = settings_to_train()
@@ -95,9 +95,9 @@ def iep(
     ] = None,
 ) -> None:
     """Train IEP: draw scenes, train its parts, measure it. A training that ended early goes on where it was."""
-    from client.console import out as stdout
-    from client.specs import local_library
-    from services.errors import InvalidRequest
+    from scene_attack.cli.console import out as stdout
+    from scene_attack.cli.specs import local_library
+    from scene_attack.errors import InvalidRequest
     from training.iep.export import SHIPPED, write
     from training.iep.export import check as checked
     from training.iep.processes import cores
@@ -130,10 +130,10 @@ def iep(
 
 
 def _train(name: str, minutes: float | None, epochs: int | None, out: Path, seed: int, export: bool) -> None:
-    from client.console import err
-    from client.console import out as stdout
-    from client.specs import local_library
-    from services.errors import InvalidRequest
+    from scene_attack.cli.console import err
+    from scene_attack.cli.console import out as stdout
+    from scene_attack.cli.specs import local_library
+    from scene_attack.errors import InvalidRequest
     from training.export import write
     from training.loop import Report
     from training.split import committed
@@ -168,7 +168,7 @@ def _telling() -> "Iterator[Said]":
     """Shows progress bars, and lines now and then where there is no terminal."""
     from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-    from client.console import err
+    from scene_attack.cli.console import err
 
     steps: dict[str, TaskID] = {}
     before = 0.0
@@ -191,7 +191,7 @@ def settings_to_train() -> "Settings":
     """The settings of the environment, by which this process and torch's threads are set up."""
     import torch
 
-    from client.settings import settings_to_run
+    from scene_attack.cli.settings import settings_to_run
 
     settings = settings_to_run()
     torch.set_num_threads(settings.threads)
@@ -200,7 +200,7 @@ def settings_to_train() -> "Settings":
 
 def main() -> None:
     """Runs a command. Bad input and failures become lines on the standard error, and exit codes 2 and 1."""
-    from services.errors import InvalidRequest, JobFailure
+    from scene_attack.errors import InvalidRequest, JobFailure
 
     try:
         app(prog_name="python -m training")

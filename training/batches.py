@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional as F
 
-from services.rendering.color import to_display
-from services.scenes.description import GROUND
+from scene_attack.rendering.color import to_display
+from scene_attack.scenes.description import GROUND
 from training.views import GRID, Views
 
 MEAN, SCALE = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)

@@ -15,17 +15,17 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from services import disk
-from services.analysis.verdict import wilson
-from services.rendering import color
-from services.rendering.factory import build
-from services.scenes.description import Camera, Scene, SceneObject
-from services.scenes.furniture import PREFIX
-from services.scenes.library import Library
-from services.scenes.resolve import resolve
-from services.targets.architectures import fill_by_name
-from services.targets.networks import AlexNet, ResNet
-from services.targets.weights_file import dequantize, quantize, to_bytes
+from scene_attack import disk
+from scene_attack.analysis.verdict import wilson
+from scene_attack.rendering import color
+from scene_attack.rendering.factory import build
+from scene_attack.scenes.description import Camera, Scene, SceneObject
+from scene_attack.scenes.furniture import PREFIX
+from scene_attack.scenes.library import Library
+from scene_attack.scenes.resolve import resolve
+from scene_attack.targets.architectures import fill_by_name
+from scene_attack.targets.networks import AlexNet, ResNet
+from scene_attack.targets.weights_file import dequantize, quantize, to_bytes
 from training.batches import MEAN, SCALE, normalised
 from training.loop import Said
 from training.split import AT_MOST, HELD_OUT, MIN_FAMILIES, MIN_HELD_OUT, MIN_MODELS, Split
@@ -309,7 +309,7 @@ def data_card(split: Split, recipe: Recipe) -> str:
         "",
         f"{len(training)} models for training and {len(held_out)} held out, in {len(split.classes)} classes, from the "
         "Sweet Home 3D libraries (their creators and licences: `scene-attack assets list`). A class is a kind of "
-        "`services/scenes/furniture_kinds.json`, reviewed by hand.",
+        "`services/scene_attack/scenes/furniture_kinds.json`, reviewed by hand.",
         "",
         f"    {split.command}",
         "",

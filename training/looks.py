@@ -12,15 +12,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from services.rendering.torch_renderer import dsbrdf
-from services.rendering.torch_renderer.dsbrdf import MATERIAL_UNIT, colored_lobes, presets
-from services.rendering.torch_renderer.light import illumination
-from services.rendering.torch_renderer.renderer import sky_of
-from services.rendering.torch_renderer.shading import Lobes, radiance
-from services.scenes.description import ELEVATION, Camera, Environment, Lights
-from services.scenes.environment import average
-from services.scenes.library import Library
-from services.scenes.view import camera_to_world
+from scene_attack.rendering.torch import dsbrdf
+from scene_attack.rendering.torch.dsbrdf import MATERIAL_UNIT, colored_lobes, presets
+from scene_attack.rendering.torch.light import illumination
+from scene_attack.rendering.torch.renderer import sky_of
+from scene_attack.rendering.torch.shading import Lobes, radiance
+from scene_attack.scenes.description import ELEVATION, Camera, Environment, Lights
+from scene_attack.scenes.environment import average
+from scene_attack.scenes.library import Library
+from scene_attack.scenes.view import camera_to_world
 from training.views import node_normals
 
 EXPOSURE = 0.5

@@ -17,8 +17,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from services import disk
-from services.errors import InvalidRequest, summary
+from scene_attack import disk
+from scene_attack.errors import InvalidRequest, summary
 
 CHECKPOINT_SECONDS = 120.0
 """Time between checkpoints."""

@@ -36,11 +36,11 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 from torch.nn import functional as F
 
-from services import disk
-from services.scenes.description import ELEVATION, Environment
-from services.scenes.furniture import PREFIX, Model, kinds, read_catalogue
-from services.scenes.library import Library
-from services.scenes.mesh import Doubles, Mesh
+from scene_attack import disk
+from scene_attack.scenes.description import ELEVATION, Environment
+from scene_attack.scenes.furniture import PREFIX, Model, kinds, read_catalogue
+from scene_attack.scenes.library import Library
+from scene_attack.scenes.mesh import Doubles, Mesh
 from training.batches import plain, shade
 from training.looks import environment_look
 from training.teacher import SIZE, features_of, load

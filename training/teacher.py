@@ -3,8 +3,8 @@
 import torch
 from torch import Tensor
 
-from services.targets.image_networks import LITE0_MEAN, LITE0_SCALE
-from services.targets.networks import EfficientNetLite
+from scene_attack.targets.image_networks import LITE0_MEAN, LITE0_SCALE
+from scene_attack.targets.networks import EfficientNetLite
 
 SIZE = 224
 """Side of the images that the network was trained on, pixels."""

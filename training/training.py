@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from services.errors import InvalidRequest
-from services.scenes.description import ELEVATION, Environment
-from services.scenes.furniture import PREFIX
-from services.scenes.library import Library
-from services.targets.networks import CHANNELS, GRID, HIDDEN, ResNet
+from scene_attack.errors import InvalidRequest
+from scene_attack.scenes.description import ELEVATION, Environment
+from scene_attack.scenes.furniture import PREFIX
+from scene_attack.scenes.library import Library
+from scene_attack.targets.networks import CHANNELS, GRID, HIDDEN, ResNet
 from training.batches import as_in_default_scene, augmented, distort, normalised, plain, shade
 from training.looks import default_looks, environment_look, looks
 from training.loop import Report, Said, TrainingLoop, read

@@ -17,13 +17,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from services import disk
-from services.rendering.opengl.gbuffer import GBuffer, rasterise
-from services.scenes.description import DISTANCE, ELEVATION, FIELD_OF_VIEW, Camera, Scene, SceneObject
-from services.scenes.library import Library
-from services.scenes.mesh import FIT_RADIUS
-from services.scenes.resolve import resolve
-from services.scenes.view import camera_to_world, projection
+from scene_attack import disk
+from scene_attack.rendering.opengl.gbuffer import GBuffer, rasterise
+from scene_attack.scenes.description import DISTANCE, ELEVATION, FIELD_OF_VIEW, Camera, Scene, SceneObject
+from scene_attack.scenes.library import Library
+from scene_attack.scenes.mesh import FIT_RADIUS
+from scene_attack.scenes.resolve import resolve
+from scene_attack.scenes.view import camera_to_world, projection
 
 MARGIN = (8, 7)
 """Side of a drawn view to side of its images."""
@@ -136,10 +136,10 @@ def _camera(azimuth: float, elevation: float, distance: float, size: int) -> Cam
 
 def _draw(library: Library, mesh: str, cameras: Sequence[Camera]) -> Iterable[tuple[GBuffer, Tensor]]:
     """Yields each view's G-buffer, and the matrix [3, 3] that turns world vectors, as rows, to its camera's frame."""
-    from services.rendering.opengl import context
+    from scene_attack.rendering.opengl import context
 
     context.current()
-    from services.rendering.opengl.mesh_upload import Drawing
+    from scene_attack.rendering.opengl.mesh_upload import Drawing
 
     scene = resolve(Scene(objects=(SceneObject(mesh=mesh),), camera=cameras[0]), library)
     drawing = Drawing(scene.meshes)

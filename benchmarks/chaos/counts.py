@@ -11,8 +11,8 @@ from typing import Any
 import httpx
 from sqlalchemy import func, select
 
-from services.jobs.models import Job, JobKind
-from services.jobs.record import Record
+from scene_attack_service.jobs.models import Job, JobKind
+from scene_attack_service.jobs.record import Record
 
 ENDED = ("succeeded", "failed", "rejected", "cancelled")
 PAUSE = 0.2

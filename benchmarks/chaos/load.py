@@ -22,10 +22,10 @@ from sqlalchemy.sql.elements import ColumnElement
 
 from benchmarks.chaos.counts import Client, counts
 from benchmarks.chaos.service import DATABASE, Database, Postgresql, Service, Sqlite
-from services.jobs.database import connect
-from services.jobs.models import Job, State
-from services.jobs.record import Record
-from services.settings import Settings
+from scene_attack_service.jobs.database import connect
+from scene_attack_service.jobs.models import Job, State
+from scene_attack_service.jobs.record import Record
+from scene_attack_service.settings import Settings
 
 AHEAD = 3
 """Jobs that wait or run at a time, for each worker."""
@@ -221,9 +221,9 @@ def requests(count: int, steps: int) -> list[dict[str, Any]]:
     return [kinds[number % len(kinds)] for number in range(count)]
 
 
-RUNNING = ("worker.job_process", "worker.rq_worker")
+RUNNING = ("scene_attack_worker.job_process", "scene_attack_worker.rq_worker")
 """Processes that run jobs. They are hit while a job takes steps."""
-OTHERS = ("redis-server", "supervisor", "api.main", "services.jobs.warm_process")
+OTHERS = ("redis-server", "supervisor", "scene_attack_api.main", "scene_attack_service.jobs.warm_process")
 """Other processes that can die: modules of the service, a program that it runs, and the supervisor, which is started
 again."""
 PATIENCE = 30.0

@@ -15,8 +15,8 @@ from typing import Protocol
 import psutil
 
 from benchmarks.postgresql import Server
-from services.jobs.processes import Listener
-from services.settings import Settings
+from scene_attack_service.jobs.processes import Listener
+from scene_attack_service.settings import Settings
 
 START_SECONDS = 60.0
 """Time without a sign of life after which a service that has given none yet is taken to hang."""
@@ -83,7 +83,7 @@ class Service:
         self.starts += 1
         with self._log.open("ab") as log:
             return subprocess.Popen(
-                [sys.executable, "-m", "client", "serve"],
+                [sys.executable, "-m", "scene_attack", "serve"],
                 env=os.environ | self.settings.environ() | listener.environ,
                 stdin=subprocess.DEVNULL,
                 stdout=log,

@@ -14,8 +14,8 @@ from matplotlib.lines import Line2D
 
 from benchmarks.study.record import Record
 from benchmarks.study.tables import attacks, title
-from services.analysis.campaign_figure import COLOURS, PANEL, STYLE
-from services.analysis.campaign_table import Cell, Corners, MeanCurves, corners
+from scene_attack.analysis.campaign_figure import COLOURS, PANEL, STYLE
+from scene_attack.analysis.campaign_table import Cell, Corners, MeanCurves, corners
 
 AS_TEXT = {"svg.fonttype": "none", "svg.hashsalt": "study"}
 """Settings of an SVG: words as text, and names of its parts that are the same every time."""

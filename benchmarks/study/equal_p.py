@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from benchmarks.study.curves import Panel, Series, figure
 from benchmarks.study.record import Job, Record
 from benchmarks.study.tables import NONE, OF, markdown, title
-from services.analysis.campaign_table import Corners, Rate, corners, share_at
+from scene_attack.analysis.campaign_table import Corners, Rate, corners, share_at
 
 BETWEEN = ", p ≤ "
 BUDGETS = (30, 100, 300, 1000)

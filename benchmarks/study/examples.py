@@ -13,7 +13,7 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict
 
 from benchmarks.study.record import Job, Record
-from services.pipeline.result import Result
+from scene_attack.runs.result import Result
 
 IMAGES = {"original": "before", "attacked": "attacked", "perturbation": "difference"}
 """Names of a job's images, and of their files beside the page."""

@@ -8,9 +8,9 @@ from typing import Any, Self
 
 from pydantic import BaseModel, ConfigDict, model_validator
 
-from services.accuracy.tables import rows_as_json
-from services.analysis.campaign_table import Case, MeanCurves, Table, table
-from services.analysis.verdict import SUCCESS
+from scene_attack.analysis.campaign_table import Case, MeanCurves, Table, table
+from scene_attack.analysis.verdict import SUCCESS
+from scene_attack_accuracy.tables import rows_as_json
 
 
 class _Record(BaseModel):

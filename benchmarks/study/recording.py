@@ -19,18 +19,18 @@ from typing import TYPE_CHECKING, Any
 from safetensors.torch import load_file
 
 from benchmarks.study.record import Asked, Job, Record, Views
-from services.analysis.campaign_table import CURVES, MeanCurves
-from services.pipeline.campaign_plan import CampaignResult, FirstAnswer, PlannedJob, View, case_of, plan, views
-from services.pipeline.campaign_spec import CampaignSpec
-from services.pipeline.described import can_carry, described
-from services.pipeline.result import ATTENTION, PERTURBATION, QuestionResult, Result
-from services.pipeline.spec import JobSpec
-from services.questions.executor import kind_asked
-from services.questions.families import FAMILIES
-from services.questions.generator import QuestionRecord
-from services.questions.program import Program
-from services.scenes.clevr.description import record_after
-from services.scenes.clevr.records import SceneRecord
+from scene_attack.analysis.campaign_table import CURVES, MeanCurves
+from scene_attack.runs.campaign_plan import CampaignResult, FirstAnswer, PlannedJob, View, case_of, plan, views
+from scene_attack.runs.campaign_spec import CampaignSpec
+from scene_attack.runs.described import can_carry, described
+from scene_attack.runs.result import ATTENTION, PERTURBATION, QuestionResult, Result
+from scene_attack.runs.spec import JobSpec
+from scene_attack_questions.clevr.description import record_after
+from scene_attack_questions.clevr.records import SceneRecord
+from scene_attack_questions.executor import kind_asked
+from scene_attack_questions.families import FAMILIES
+from scene_attack_questions.generator import QuestionRecord
+from scene_attack_questions.program import Program
 from training.iep.examples import ObjectTruth
 
 if TYPE_CHECKING:

@@ -11,10 +11,10 @@ from statistics import median
 from typing import Any, get_args
 
 from benchmarks.study.record import Asked, Job, Record
-from services.accuracy import tables
-from services.analysis.campaign_table import Cell, Rate, share_at
-from services.questions.executor import KINDS, kind_of
-from services.questions.families import Kind
+from scene_attack.analysis.campaign_table import Cell, Rate, share_at
+from scene_attack_accuracy import tables
+from scene_attack_questions.executor import KINDS, kind_of
+from scene_attack_questions.families import Kind
 
 TITLES = {
     "alexnet-furniture": "AlexNet",

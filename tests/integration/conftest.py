@@ -15,7 +15,7 @@ import httpx
 import psutil
 import pytest
 
-from services.process import program
+from scene_attack.process import program
 from tests.integration.specs import LASTING
 
 if TYPE_CHECKING:
@@ -127,7 +127,7 @@ def serving(data: Path, **environ: str) -> Iterator[Stack]:
     with (
         log.open("a") as errors,
         subprocess.Popen(
-            program("client", "serve"),
+            program("scene_attack", "serve"),
             env=os.environ | environ,
             stdout=subprocess.PIPE,
             stderr=errors,

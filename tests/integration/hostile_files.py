@@ -9,15 +9,9 @@ import zipfile
 from collections.abc import Callable, Iterator
 from itertools import cycle
 
-from services.scenes.reading.formats import KINDS
+from scene_attack.scenes.reading.formats import KINDS
 from tests.integration.hostile_glb import GLB, MILLION, texture_at
-from tests.unit.scenes.mesh_files import (
-    ASCII_PLY,
-    ASCII_STL,
-    BOXES,
-    PLY_HEADER,
-    edited_glb,
-)
+from tests.unit.scenes.mesh_files import ASCII_PLY, ASCII_STL, BOXES, PLY_HEADER, edited_glb
 from tests.unit.scenes.test_image_file import POSTSCRIPT, png_of_size, stored, vp8x
 
 Case = tuple[str, bytes, str | None]

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from services.settings import Settings
+from scene_attack_service.settings import Settings
 from tests.integration.conftest import PATIENCE
 
 
@@ -23,7 +23,7 @@ class Machine:
         self._environ = kept | {"HOME": str(home), "SCENE_ATTACK_CACHE": str(Settings().cache_dir)} | environ
 
     def popen(self, *arguments: str, **options: Any) -> "subprocess.Popen[str]":
-        command = [sys.executable, "-m", "client", *arguments]
+        command = [sys.executable, "-m", "scene_attack", *arguments]
         return subprocess.Popen(command, env=self._environ, text=True, stderr=subprocess.PIPE, **options)
 
     def run(self, *arguments: str) -> tuple[int, str, str]:

@@ -46,7 +46,7 @@ def test_a_campaign_survives_a_killed_worker_and_a_pause(stack: Stack) -> None:
 
     killed: str = until(running, "a job of the campaign runs")
     stack.attacking(killed)
-    stack.one("worker.job_process").kill()
+    stack.one("scene_attack_worker.job_process").kill()
     assert stack.client.post(f"{one}/pause").json()["state"] == "paused"
     until(lambda: get(stack, one)["progress"]["running"] == 0, "nothing of the campaign runs")
     before = get(stack, one)["progress"]["ended"]

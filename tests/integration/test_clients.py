@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from client import ApiError, AsyncClient, Client, operations
+from scene_attack import ApiError, AsyncClient, Client
+from scene_attack.client import operations
 from tests.integration.conftest import Stack
 from tests.integration.specs import ENDLESS, QUICK
 

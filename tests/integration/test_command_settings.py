@@ -85,10 +85,11 @@ def test_importing_reads_no_setting() -> None:
     """Every module of the program, where reading the settings fails. Alembic alone runs its environment."""
     code = (
         "import importlib, pkgutil\n"
-        "for root in ('services', 'worker', 'api', 'client'):\n"
+        "for name in ('', '_service', '_questions', '_accuracy', '_api', '_worker'):\n"
+        "    root = f'scene_attack{name}'\n"
         "    for module in pkgutil.walk_packages(importlib.import_module(root).__path__, f'{root}.'):\n"
-        "        if module.name != 'services.jobs.migrations.env': importlib.import_module(module.name)\n"
-        "from services.settings import Settings\n"
+        "        if module.name != 'scene_attack_service.jobs.migrations.env': importlib.import_module(module.name)\n"
+        "from scene_attack_service.settings import Settings\n"
         "try: Settings()\n"
         "except ValueError: print('refused')\n"
     )

@@ -11,7 +11,7 @@ import httpx
 import psutil
 import pytest
 
-from client.commands.demo import ATTACKS, QUESTION
+from scene_attack.cli.commands.demo import ATTACKS, QUESTION
 from tests.integration.conftest import PATIENCE
 
 pytestmark = pytest.mark.integration
@@ -40,8 +40,8 @@ def address(process: "subprocess.Popen[str]") -> str:
 ONE_SCENE = """
 import sys
 
-from client.__main__ import main
-from client.commands import demo
+from scene_attack.__main__ import main
+from scene_attack.cli.commands import demo
 
 demo.SCENES = {"power drill": demo.SCENES["power drill"]}
 sys.argv = ["scene-attack", "demo", "--once"]
@@ -84,7 +84,7 @@ RUNS_SERVICE = """
 import sys
 from pathlib import Path
 
-from client.commands.demo import running_service
+from scene_attack.cli.commands.demo import running_service
 
 sys.executable = sys.argv[1]
 with running_service(Path(sys.argv[2]), {}) as (url, process):

@@ -15,14 +15,14 @@ import trimesh
 from PIL import Image
 from safetensors import safe_open
 
-from services.accuracy.stability.gltf_file import file_of
-from services.accuracy.stability.objects import square_arrays
-from services.export.bundle import into_folder, write_bundle
-from services.pipeline.execute import execute
-from services.pipeline.spec import parse
-from services.scenes import environment
-from services.scenes.library import Library
-from services.settings import Settings
+from scene_attack.export.bundle import into_folder, write_bundle
+from scene_attack.runs.execute import execute
+from scene_attack.runs.spec import parse
+from scene_attack.scenes import environment
+from scene_attack.scenes.library import Library
+from scene_attack_accuracy.stability.gltf_file import file_of
+from scene_attack_accuracy.stability.objects import square_arrays
+from scene_attack_service.settings import Settings
 from tests.integration.conftest import PATIENCE, Stack
 from tests.integration.specs import ENDLESS
 from tests.unit.client.command_line import Done, cli

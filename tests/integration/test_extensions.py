@@ -17,9 +17,9 @@ from typing import Any
 
 import pytest
 
-from api.main import create_app
-from services.jobs.leases import MAX_ATTEMPTS
-from services.settings import Settings
+from scene_attack_api.main import create_app
+from scene_attack_service.jobs.leases import MAX_ATTEMPTS
+from scene_attack_service.settings import Settings
 from tests.integration.conftest import Stack, serving
 from tests.integration.specs import QUICK, scene
 from tests.unit.api.conftest import serving as served
@@ -52,7 +52,7 @@ JOBS: dict[str, tuple[dict[str, Any], set[str]]] = {
 """What each job adds to a scene, and the files its result must name."""
 
 SHAPELESS = """
-from services.rendering.declaration import Group
+from scene_attack.rendering.declaration import Group
 
 Group(name="fog", unit="1", words="fog")
 """
@@ -128,9 +128,9 @@ def target(name, take, process):
 
 
 for take in (reserve, torch_block, numpy_block, pieces, private_map, shared_map):
-    target("job-" + take.__name__, take, "worker.job_process")
+    target("job-" + take.__name__, take, "scene_attack_worker.job_process")
 for take in (torch_block, shared_map):
-    target("check-" + take.__name__, take, "services.jobs.warm_process")
+    target("check-" + take.__name__, take, "scene_attack_service.jobs.warm_process")
 '''
 )
 
@@ -138,8 +138,8 @@ for take in (torch_block, shared_map):
 DEADLY = """
 import os, signal
 from typing import Literal
-from services.attacks.attack import register
-from services.attacks.fgsm import Fgsm
+from scene_attack.attacks.attack import register
+from scene_attack.attacks.fgsm import Fgsm
 
 @register
 class Deadly(Fgsm):
@@ -272,7 +272,7 @@ def test_jobs_of_an_extension_that_is_gone_stay_in_the_record(extended: Stack, r
 
 
 def test_addresses_that_are_not_used_cost_a_job_nothing(extended: Stack) -> None:
-    process = extended.one("worker.job_process")
+    process = extended.one("scene_attack_worker.job_process")
     job = extended.ended(extended.submit(QUICK | {"target": {"name": "job-reserve"}}))
     assert job["state"] == "succeeded", job["failure"]
     assert process.memory_info().vms > 64 * 2**30

@@ -22,7 +22,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The current folder. A process of ours that read one of its files would end there."""
     own = tmp_path / "own"
     (own / "api").mkdir(parents=True)
-    for name in ("client.py", "services.py", "worker.py", "api/__init__.py"):
+    for name in ("client.py", "services.py", "worker.py", "queue.py", "api/__init__.py"):
         (own / name).write_text("raise SystemExit('this is a file of the user')\n")
     (own / "spec.json").write_text(json.dumps(SPEC))
     monkeypatch.chdir(own)

@@ -13,7 +13,7 @@ from tempfile import mkdtemp
 import pytest
 import yaml
 
-from services.settings import Settings
+from scene_attack_service.settings import Settings
 from tests.integration.conftest import Stack
 
 pytestmark = pytest.mark.integration
@@ -21,7 +21,7 @@ pytestmark = pytest.mark.integration
 ROOT = Path(__file__).parents[2]
 REQUIREMENTS = Path(__file__).with_name("client_generator.txt")
 PROGRAM = Path(__file__).with_name("generated_client_job.py")
-EXAMPLES = ROOT / "api" / "examples.json"
+EXAMPLES = ROOT / "api" / "scene_attack_api" / "examples.json"
 
 
 @pytest.fixture(scope="module")

@@ -35,23 +35,23 @@ def gone(process: psutil.Process) -> bool:
     return not process.is_running() or process.status() == psutil.STATUS_ZOMBIE
 
 
-@pytest.mark.parametrize("module", ["worker.job_process", "worker.rq_worker"])
+@pytest.mark.parametrize("module", ["scene_attack_worker.job_process", "scene_attack_worker.rq_worker"])
 def test_a_stopped_process_does_not_hold_its_job(impatient: Stack, undisturbed: str, module: str) -> None:
     job_id = impatient.submit(LASTING)
     impatient.checkpoint(job_id)
-    stopped, runs = impatient.one(module), impatient.one("worker.job_process")
+    stopped, runs = impatient.one(module), impatient.one("scene_attack_worker.job_process")
     stop(stopped)
     job = impatient.ended(job_id)
     assert job["state"] == "succeeded"
     # A job process whose worker is stopped goes on, and may be done before the worker is killed.
-    assert job["attempt"] >= 2 or module == "worker.rq_worker"
+    assert job["attempt"] >= 2 or module == "scene_attack_worker.rq_worker"
     assert impatient.perturbation(job_id) == undisturbed
     until(lambda: gone(stopped) and gone(runs), "what was stopped is killed")
 
 
 def test_the_rest_of_the_service_may_be_stopped_too(impatient: Stack) -> None:
     (redis,) = [p for p in psutil.Process(impatient.process.pid).children() if p.name() == "redis-server"]
-    stopped = [redis, impatient.one("api.main"), impatient.one("services.jobs.warm_process")]
+    stopped = [redis, impatient.one("scene_attack_api.main"), impatient.one("scene_attack_service.jobs.warm_process")]
     for process in stopped:
         stop(process)
     job_id = until(lambda: submitted(impatient), "the API takes a job")

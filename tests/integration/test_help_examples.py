@@ -15,8 +15,8 @@ from zipfile import ZipFile
 import pytest
 import trimesh
 
-from client.commands_page import commands, examples
-from services.attacks.run import saved_step
+from scene_attack.attacks.run import saved_step
+from scene_attack.cli.commands_page import commands, examples
 from tests.integration.conftest import Stack, until
 from tests.integration.specs import ENDLESS, QUICK, long, scene
 from tests.integration.test_run import small
@@ -30,7 +30,7 @@ ELSEWHERE = {
     "SCENE_ATTACK_REDIS_URL": "test_many_machines starts them, and this address is another machine's",
     "demo": "test_demo runs it",
     "doctor": "test_command_line runs it",
-    "accuracy": "minutes of measurements; tests of services/accuracy run their parts",
+    "accuracy": "minutes of measurements; tests of services/scene_attack_accuracy run their parts",
     "pg_restore": "a program of PostgreSQL; tests/unit/jobs restores a copy with it",
 }
 """Examples that are not run here, by a word of them, and why. A unit test parses them."""
@@ -52,7 +52,7 @@ class Reader:
         self.environ = {"SCENE_ATTACK_DATA": str(folder / "data")}
         for name in ("examples", "out", "bin", "backups"):
             (folder / name).mkdir()
-        (folder / "bin/scene-attack").write_text(f'#!/bin/sh\nexec {sys.executable} -m client "$@"\n')
+        (folder / "bin/scene-attack").write_text(f'#!/bin/sh\nexec {sys.executable} -m scene_attack "$@"\n')
         (folder / "bin/scene-attack").chmod(0o755)
         for file, content in (
             ("examples/torch-combined.json", small("torch-combined") | {"scene": scene()}),

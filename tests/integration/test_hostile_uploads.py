@@ -22,7 +22,7 @@ GROWTH = 200 * 2**20
 PRIVATE = (os.getcwd(), sys.prefix, "/tmp", "/root", "/home", "/usr", "site-packages", "Traceback", ".py")
 """What no answer may hold."""
 SMALL = {"objects": [{"mesh": "primitive/sphere"}], "camera": {"size": [32, 32]}}
-READER = "services.scenes.reading.process"
+READER = "scene_attack.scenes.reading.process"
 
 
 def memory(stack: Stack) -> int:
@@ -72,7 +72,7 @@ def refusal(answer: httpx.Response) -> Any:
 @pytest.mark.skipif(shutil.which("strace") is None, reason="no strace; scripts/setup --test installs it")
 def test_hostile_meshes_are_refused_and_leave_the_service_as_it_was(stack: Stack, tmp_path: Path) -> None:
     assert upload(stack, BOXES["stl"], "stl").status_code == 201
-    before, api = memory(stack), stack.one("api.main")
+    before, api = memory(stack), stack.one("scene_attack_api.main")
     # Other processes of the service may have readers of their own, and a reader has children for a moment.
     (reader,) = [process for process in stack.processes(READER) if process.ppid() == api.pid]
     processes = [api, reader]

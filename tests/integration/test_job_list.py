@@ -8,10 +8,10 @@ import pytest
 from fastapi import FastAPI
 from playwright.sync_api import Browser, ConsoleMessage, Page, expect
 
-from api.main import create_app
-from api.requests import Services
 from benchmarks.filled_record import fill
-from services.settings import Settings
+from scene_attack_api.main import create_app
+from scene_attack_api.requests import Services
+from scene_attack_service.settings import Settings
 from tests.integration.browser import fresh_page
 from tests.unit.api.conftest import serving
 

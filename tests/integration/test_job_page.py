@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 from playwright.sync_api import Browser, Page, expect
 
-from services.attacks.run import saved_step
+from scene_attack.attacks.run import saved_step
 from tests.integration.browser import fresh_page, wait_for_images
 from tests.integration.conftest import Stack, until
 from tests.integration.specs import ENDLESS, GROUPS, QUICK

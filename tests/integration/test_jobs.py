@@ -72,9 +72,9 @@ def test_an_answer_can_be_waited_for(stack: Stack) -> None:
 
 def test_processes_stay_warm_between_jobs(stack: Stack) -> None:
     stack.ended(stack.submit(QUICK))
-    before = stack.one("worker.job_process").pid
+    before = stack.one("scene_attack_worker.job_process").pid
     stack.ended(stack.submit(QUICK))
-    assert stack.one("worker.job_process").pid == before
+    assert stack.one("scene_attack_worker.job_process").pid == before
 
 
 def test_cancel_stops_a_running_job_within_one_step(stack: Stack) -> None:

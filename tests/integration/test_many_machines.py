@@ -15,8 +15,8 @@ from typing import Any
 import httpx
 import pytest
 
-from services.jobs.queue import Queue, connect
-from services.settings import Settings
+from scene_attack_service.jobs.queue import Queue, connect
+from scene_attack_service.settings import Settings
 from tests import redis_over_tcp
 from tests.integration.conftest import PATIENCE, Stack, end, until
 from tests.integration.specs import long
@@ -54,7 +54,7 @@ def program(folder: Path, *command: str, **environ: str) -> Iterator[Path]:
     environ = os.environ | machine | environ
     with (folder / "log").open("w") as log:
         process = subprocess.Popen(
-            [sys.executable, "-m", "client", *command], env=environ, stderr=log, start_new_session=True
+            [sys.executable, "-m", "scene_attack", *command], env=environ, stderr=log, start_new_session=True
         )
     try:
         yield folder / "log"

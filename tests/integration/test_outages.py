@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from services.jobs.files import RESERVE
+from scene_attack_service.jobs.files import RESERVE
 from tests.integration.conftest import Stack, serving, until
 from tests.integration.specs import ENDLESS, LASTING, QUICK
 from tests.unit.jobs.test_outages import fill

@@ -12,11 +12,11 @@ from tests.integration.specs import ENDLESS, LASTING, QUICK, long
 pytestmark = pytest.mark.integration
 
 
-@pytest.mark.parametrize("module", ["worker.job_process", "worker.rq_worker"])
+@pytest.mark.parametrize("module", ["scene_attack_worker.job_process", "scene_attack_worker.rq_worker"])
 def test_a_killed_process_does_not_lose_its_job(stack: Stack, undisturbed: str, module: str) -> None:
     job_id = stack.submit(LASTING)
     stack.checkpoint(job_id)
-    worker, runner = stack.one("worker.rq_worker"), stack.one("worker.job_process")
+    worker, runner = stack.one("scene_attack_worker.rq_worker"), stack.one("scene_attack_worker.job_process")
     killed = stack.one(module)
     killed.kill()
     job = stack.ended(job_id)
@@ -25,8 +25,9 @@ def test_a_killed_process_does_not_lose_its_job(stack: Stack, undisturbed: str, 
     # It went on from its checkpoint: the trace was not begun again.
     assert [row["step"] for row in job["result"]["trace"]] == sorted({row["step"] for row in job["result"]["trace"]})
     assert not runner.is_running() or runner.status() == psutil.STATUS_ZOMBIE  # until its new parent asks for it
-    assert worker.is_running() == (module == "worker.job_process")
-    assert len(stack.processes("worker.rq_worker")) == len(stack.processes("worker.job_process")) == 1
+    assert worker.is_running() == (module == "scene_attack_worker.job_process")
+    for each in ("scene_attack_worker.rq_worker", "scene_attack_worker.job_process"):
+        assert len(stack.processes(each)) == 1
 
 
 def test_redis_may_be_lost_with_all_it_held(stack: Stack) -> None:
@@ -43,7 +44,7 @@ def test_redis_may_be_lost_with_all_it_held(stack: Stack) -> None:
 
 def test_the_api_may_be_killed(stack: Stack) -> None:
     job_id = stack.submit(QUICK)
-    api = stack.one("api.main")
+    api = stack.one("scene_attack_api.main")
     api.kill()
     api.wait(PATIENCE)
     # The supervisor kept the socket: this waits for the new API instead of failing.
@@ -79,7 +80,7 @@ def finished(stack: Stack, running: str, queued: str, undisturbed: str) -> None:
 
 def test_two_workers_run_two_jobs_and_one_each(tmp_path: Path) -> None:
     with serving(tmp_path / "data", SCENE_ATTACK_WORKERS="2", SCENE_ATTACK_JOB_SECONDS="20") as stack:
-        until(lambda: len(stack.processes("worker.job_process")) == 2, "two job processes")
+        until(lambda: len(stack.processes("scene_attack_worker.job_process")) == 2, "two job processes")
         first, second = stack.submit(ENDLESS), stack.submit(ENDLESS)
         stack.attacking(first)
         stack.attacking(second)

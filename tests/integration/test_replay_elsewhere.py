@@ -20,13 +20,13 @@ from markdown_it.token import Token
 from PIL import Image
 from safetensors.torch import save_file
 
-from services.export.bundle import into_folder, write_bundle
-from services.pipeline.execute import execute
-from services.pipeline.spec import parse
-from services.scenes.bundle import About, Bundle
-from services.scenes.library import Library
-from services.settings import Settings
-from services.targets.architectures import ARCHITECTURES, Architecture
+from scene_attack.export.bundle import into_folder, write_bundle
+from scene_attack.runs.execute import execute
+from scene_attack.runs.spec import parse
+from scene_attack.scenes.bundle import About, Bundle
+from scene_attack.scenes.library import Library
+from scene_attack.targets.architectures import ARCHITECTURES, Architecture
+from scene_attack_service.settings import Settings
 from tests.unit.client.command_line import cli
 
 pytestmark = pytest.mark.integration
@@ -59,7 +59,7 @@ def elsewhere(home: Path, *arguments: str, **environ: str) -> "subprocess.Comple
     mine = Settings()
     ours["SCENE_ATTACK_THREADS"] = str(mine.threads)  # part of what decides the bits
     ours["SCENE_ATTACK_KERNEL_DIR"] = str(mine.kernel_folder)  # to compile them again takes half a minute
-    command = [sys.executable, "-m", "client", *arguments]
+    command = [sys.executable, "-m", "scene_attack", *arguments]
     return subprocess.run(
         command, env=ours | {"HOME": str(home)} | environ, capture_output=True, text=True, check=False, timeout=300
     )

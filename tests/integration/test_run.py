@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from services.pipeline.spec import parse
-from services.rendering.torch_renderer.declaration import TORCH
+from scene_attack.rendering.torch.declaration import TORCH
+from scene_attack.runs.spec import parse
 from tests.integration.conftest import until
 from tests.integration.specs import long
 from tests.unit.client.command_line import cli, process
@@ -140,7 +140,7 @@ def test_a_run_that_was_killed_goes_on_to_the_same_end(tmp_path: Path) -> None:
     file.write_text(json.dumps(long(150)))  # several seconds, and a checkpoint is written every two
     whole, broken = tmp_path / "whole", tmp_path / "broken"
     assert cli("run", str(file), "--out", str(whole)).returncode == 0
-    begun = subprocess.Popen([sys.executable, "-m", "client", "run", str(file), "--out", str(broken)])
+    begun = subprocess.Popen([sys.executable, "-m", "scene_attack", "run", str(file), "--out", str(broken)])
     until(lambda: (broken / "checkpoint").exists() or begun.poll() is not None, "a checkpoint")
     begun.kill()
     begun.wait()

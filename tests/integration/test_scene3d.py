@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from playwright.sync_api import Browser, expect
 
-from services.scenes.view import camera_pose
+from scene_attack.scenes.view import camera_pose
 from tests.integration.browser import ARGUMENTS, launched
 from tests.integration.conftest import Stack
 from tests.integration.scene3d_view import (

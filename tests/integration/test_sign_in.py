@@ -9,10 +9,10 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
-from services.access.caller import Scope
-from services.access.keys import AccessKeys
-from services.jobs.database import connect, migrate
-from services.settings import Settings
+from scene_attack_service.access.caller import Scope
+from scene_attack_service.access.keys import AccessKeys
+from scene_attack_service.jobs.database import connect, migrate
+from scene_attack_service.settings import Settings
 from tests.integration.browser import fresh_page, job_state
 from tests.integration.conftest import Stack, serving
 from tests.integration.specs import ENDLESS

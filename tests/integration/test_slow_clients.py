@@ -7,7 +7,7 @@ from contextlib import ExitStack, contextmanager
 import pytest
 from httpx import Client
 
-from api.main import MOST_CONNECTIONS
+from scene_attack_api.main import MOST_CONNECTIONS
 from tests.integration.conftest import Stack, until
 from tests.integration.specs import QUICK
 

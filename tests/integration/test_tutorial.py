@@ -41,7 +41,7 @@ def test_the_tutorial_leads_to_a_finding(tmp_path: Path) -> None:
     folder = tmp_path / "reader"
     commands = folder / "bin"
     commands.mkdir(parents=True)
-    for name, module in (("scene-attack", "-m client"), ("python", "")):
+    for name, module in (("scene-attack", "-m scene_attack"), ("python", "")):
         (commands / name).write_text(f'#!/bin/sh\nexec {sys.executable} {module} "$@"\n')
         (commands / name).chmod(0o755)
     for name, code in (PYTHON | {"mine.py": NETWORK}).items():

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from client.checkup import database
-from services.settings import Settings
+from scene_attack.cli.checkup import database
+from scene_attack_service.settings import Settings
 from tests.integration.machine import Machine
 
 pytestmark = pytest.mark.integration

@@ -6,9 +6,9 @@ from ipaddress import ip_address
 import pytest
 from pydantic import ValidationError
 
-from services.addresses import endpoint_mistake, host_mistake, is_loopback, is_public, read
-from services.settings import Settings
-from services.targets.custom.card import NOTHING
+from scene_attack.addresses import endpoint_mistake, host_mistake, is_loopback, is_public, read
+from scene_attack.targets.custom.card import NOTHING
+from scene_attack_service.settings import Settings
 
 ADDRESSES = {
     "8.8.8.8": True,

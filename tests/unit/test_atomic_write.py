@@ -3,7 +3,7 @@ from pathlib import Path
 
 import pytest
 
-from services import disk
+from scene_attack import disk
 
 
 def test_a_file_is_replaced_whole_and_its_directory_made(tmp_path: Path) -> None:

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from services import blobs as module
-from services.blobs import Blobs, blobs
-from services.errors import InvalidRequest
+from scene_attack import blobs as module
+from scene_attack.blobs import Blobs, blobs
+from scene_attack.errors import InvalidRequest
 
 pytestmark = pytest.mark.slow
 

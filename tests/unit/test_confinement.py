@@ -8,13 +8,13 @@ import sys
 
 import pytest
 
-from services.confinement import ALLOWED, program
+from scene_attack.confinement import ALLOWED, program
 
 pytestmark = pytest.mark.slow
 
 SCRIPT = """
 import ctypes, json, os, resource, signal, socket, subprocess, sys
-from services.confinement import Limits, address_space, confine, drop_privileges
+from scene_attack.confinement import Limits, address_space, confine, drop_privileges
 parent, secret = os.getppid(), sys.argv[1]
 libc = ctypes.CDLL(None, use_errno=True)
 def call(number, *given):

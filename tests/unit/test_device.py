@@ -11,18 +11,18 @@ import pytest
 import torch
 from typer.testing import CliRunner
 
-from client.cli import app
-from services.attacks.problem import generator
-from services.errors import InvalidRequest
-from services.pipeline.execute import execute
-from services.pipeline.spec import parse
-from services.process import check_device, describe, device, replaced
-from services.rendering.factory import build
-from services.rendering.kernels import compiled
-from services.scenes.library import Library
-from services.scenes.resolve import resolve
-from services.settings import Settings
-from services.targets import registry
+from scene_attack.attacks.problem import generator
+from scene_attack.cli.app import app
+from scene_attack.errors import InvalidRequest
+from scene_attack.process import check_device, describe, device, replaced
+from scene_attack.rendering.factory import build
+from scene_attack.rendering.kernels import compiled
+from scene_attack.runs.execute import execute
+from scene_attack.runs.spec import parse
+from scene_attack.scenes.library import Library
+from scene_attack.scenes.resolve import resolve
+from scene_attack.targets import registry
+from scene_attack_service.settings import Settings
 
 pytestmark = pytest.mark.slow
 
@@ -52,7 +52,7 @@ def test_a_device_that_is_not_there_is_named(name: str) -> None:
      "demo", "accuracy stability", "accuracy work-precision"],
 )  # fmt: skip
 def test_every_command_that_computes_refuses_it(command: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Before it writes or starts anything. `client.cli.main` makes exit code 2 of it."""
+    """Before it writes or starts anything. `scene_attack.cli.app.main` makes exit code 2 of it."""
     monkeypatch.setenv("SCENE_ATTACK_DEVICE", "cuda:99")
     monkeypatch.setenv("SCENE_ATTACK_DATA", str(tmp_path / "data"))
     monkeypatch.chdir(tmp_path)
@@ -63,13 +63,13 @@ def test_every_command_that_computes_refuses_it(command: str, monkeypatch: pytes
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("module", ["worker.job_process", "benchmarks.attack_bounds", "training.training"])
+@pytest.mark.parametrize("module", ["scene_attack_worker.job_process", "benchmarks.attack_bounds", "training.training"])
 def test_torch_is_loaded_after_the_setting_that_keeps_its_threads_from_spinning(module: str) -> None:
-    """`services` makes it. With two threads on a core that something else uses, an attack took 20 times as long."""
-    program = f"import sys, {module}; print(*(name for name in sys.modules if name in ('services', 'torch')))"
+    """`scene_attack` makes it. With two threads on a core that something else uses, an attack took 20 times as long."""
+    program = f"import sys, {module}; print(*(name for name in sys.modules if name in ('scene_attack', 'torch')))"
     environment = {name: value for name, value in os.environ.items() if name != "OMP_WAIT_POLICY"}
     done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True)
-    assert done.stdout.split()[0] == "services"
+    assert done.stdout.split()[0] == "scene_attack"
 
 
 def test_auto_is_a_device_that_is_there() -> None:

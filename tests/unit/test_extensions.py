@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from services import extensions
-from services.errors import ERROR_LENGTH
-from services.extensions import Extension, Registry, load
+from scene_attack import extensions
+from scene_attack.errors import ERROR_LENGTH
+from scene_attack.extensions import Extension, Registry, load
 
-SHAPES: Registry[int] = Registry("shape", "services.targets")
+SHAPES: Registry[int] = Registry("shape", "scene_attack.targets")
 REGISTER = "from tests.unit.test_extensions import SHAPES\n"
 
 
@@ -149,7 +149,7 @@ def test_a_path_where_nothing_is_has_an_error(tmp_path: Path) -> None:
 
 
 def test_entries_are_in_alphabetical_order_whatever_order_they_came_in() -> None:
-    numbers: Registry[int] = Registry("number", "services.targets")
+    numbers: Registry[int] = Registry("number", "scene_attack.targets")
     for name in ("two", "one", "three"):
         numbers.add(name, 0)
     assert list(numbers) == ["one", "three", "two"]
@@ -162,7 +162,7 @@ def test_built_in_modules_are_those_that_register(tmp_path: Path, monkeypatch: p
     for folder in (package, package / "inner"):
         (folder / "__init__.py").write_text("")
     (package / "registry.py").write_text(
-        "from services.extensions import Registry\nTHINGS = Registry('thing', 'built')\nregister = THINGS.add\n"
+        "from scene_attack.extensions import Registry\nTHINGS = Registry('thing', 'built')\nregister = THINGS.add\n"
     )
     (package / "one.py").write_text("from built.registry import register\nregister('one', 1)\n")
     (package / "inner" / "two.py").write_text("from built.registry import register\nregister('two', 2)\n")
@@ -186,7 +186,7 @@ def test_a_second_thread_waits_until_all_entries_are_there(tmp_path: Path, monke
         "begun.set()\ngo_on.wait(30)\nregister('one', 1)\n"
     )
     (package / "things.py").write_text(
-        "from services.extensions import Registry\nTHINGS = Registry('thing', 'halfway')\nregister = THINGS.add\n"
+        "from scene_attack.extensions import Registry\nTHINGS = Registry('thing', 'halfway')\nregister = THINGS.add\n"
     )
     monkeypatch.syspath_prepend(tmp_path)
     from importlib import import_module

@@ -2,7 +2,7 @@ import json
 
 import pytest
 
-from services.strict import NotJson, read_json
+from scene_attack.strict import NotJson, read_json
 
 WRONG = {
     "nothing": ("", "a value of JSON is missing at line 1, column 1"),

@@ -12,15 +12,15 @@ import pytest
 pytestmark = pytest.mark.slow
 
 CODE = """
-from services.logs import bound, configure, logger
+from scene_attack.logs import bound, configure, logger
 configure("worker")
 key = "sa_" + "secret"
 with bound(job="0f3c", attempt=2):
-    logger("worker.main").warning("job taken back", worker="host-0")
+    logger("scene_attack_worker.main").warning("job taken back", worker="host-0")
 try:
     raise ValueError("it broke")
 except ValueError:
-    logger("worker.main").exception("unexpected")
+    logger("scene_attack_worker.main").exception("unexpected")
 """
 
 
@@ -30,7 +30,7 @@ def test_without_a_terminal_each_line_is_json() -> None:
     time = first.pop("timestamp")
     assert re.fullmatch(r"20\d\d-\d\d-\d\dT\d\d:\d\d:\d\d\.\d+Z", time)
     assert first == {
-        "process": "worker", "level": "warning", "logger": "worker.main", "event": "job taken back",
+        "process": "worker", "level": "warning", "logger": "scene_attack_worker.main", "event": "job taken back",
         "job": "0f3c", "attempt": 2, "worker": "host-0",
     }  # fmt: skip
     assert "ValueError: it broke" in second["exception"]

@@ -19,7 +19,7 @@ import pytest
 from tests.unit.accuracy import test_attack_bounds
 from tests.unit.analysis import test_adaptive
 from tests.unit.attacks import test_p_rgf, test_samples, test_zoo
-from tests.unit.rendering.torch_renderer import test_gradient_error, test_sampled_check, test_shadows
+from tests.unit.rendering.torch import test_gradient_error, test_sampled_check, test_shadows
 
 
 class Mutant(NamedTuple):
@@ -36,7 +36,7 @@ class Mutant(NamedTuple):
 
 MUTANTS = {
     "partial visibility lost": Mutant(
-        "services.rendering.torch_renderer.surfaces:regions",
+        "scene_attack.rendering.torch.surfaces:regions",
         "(visibility < WHOLE)",
         "(visibility < WHOLE / 2)",
         test_shadows.test_a_matte_scene_in_partial_shadow_looks_the_same_from_near_and_from_afar,
@@ -48,43 +48,43 @@ MUTANTS = {
         test_attack_bounds.test_the_error_of_an_image_is_that_of_its_worst_value,
     ),
     "vanished signs counted as right": Mutant(
-        "services.rendering.torch_renderer.planner:_compared",
+        "scene_attack.rendering.torch.planner:_compared",
         "& there\n",
         "& there & (value != 0)\n",
         test_gradient_error.test_a_gradient_that_vanishes_in_float32_has_the_wrong_sign,
     ),
     "roll drawn from elevation's number": Mutant(
-        "services.attacks.problem:draw_variation",
+        "scene_attack.attacks.problem:draw_variation",
         "radians(asked.roll) * around[2]",
         "radians(asked.roll) * around[1]",
         test_samples.test_the_numbers_of_a_variation_are_independent,
     ),
     "tables that are never checked": Mutant(
-        "services.rendering.torch_renderer.shader:Shader.__call__",
+        "scene_attack.rendering.torch.shader:Shader.__call__",
         "if held:",
         "if True:",
         lambda: test_sampled_check.check(test_sampled_check.WALKS[0]),
     ),
     "half-steps measured at zero": Mutant(
-        "services.attacks.differences:measure_half_steps",
+        "scene_attack.attacks.differences:measure_half_steps",
         "(2 * signs - 1) * reach",
         "0 * signs * reach",
         test_zoo.test_half_steps_are_measured_away_from_the_start,
     ),
     "the adaptive attack without U": Mutant(
-        "services.analysis.rerendering:attack_through",
+        "scene_attack.analysis.rerendering:attack_through",
         ".clamp(start - LIMIT, start + LIMIT)",
         "",
         test_adaptive.test_an_attack_of_many_steps_ends_at_the_limit,
     ),
     "prior of any length": Mutant(
-        "services.attacks.p_rgf:PRgf.step",
+        "scene_attack.attacks.p_rgf:PRgf.step",
         "(prior / prior.norm() * total**0.5)[None]",
         "prior[None]",
         test_p_rgf.test_the_priors_images_are_as_far_off_as_random_ones_and_along_the_gradient,
     ),
     "prior not in half-steps": Mutant(
-        "services.attacks.p_rgf:PRgf.step",
+        "scene_attack.attacks.p_rgf:PRgf.step",
         "at, step) * half_steps",
         "at, step)",
         test_p_rgf.test_the_priors_images_are_as_far_off_as_random_ones_and_along_the_gradient,

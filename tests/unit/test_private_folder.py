@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from services.disk import NotOurs, make_private
-from services.errors import InvalidRequest
-from services.jobs.database import connect, migrate
-from services.settings import Settings
+from scene_attack.disk import NotOurs, make_private
+from scene_attack.errors import InvalidRequest
+from scene_attack_service.jobs.database import connect, migrate
+from scene_attack_service.settings import Settings
 
 OURS = frozenset({"jobs.sqlite"})
 

@@ -1,7 +1,7 @@
 import pytest
 from pydantic import ValidationError
 
-from services.settings import Settings
+from scene_attack_service.settings import Settings
 
 pytestmark = pytest.mark.slow
 

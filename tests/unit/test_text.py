@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from services.text import did_you_mean, escaped, line, line_or_nothing, paragraphs, signed, visible
+from scene_attack.text import did_you_mean, escaped, line, line_or_nothing, paragraphs, signed, visible
 
 OVERRIDES = "\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069"
 STEERING = ["\0", "\x1b", "\x07", "\r", "\x7f", "\x85", "\x9b", *OVERRIDES]

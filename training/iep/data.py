@@ -22,19 +22,19 @@ from PIL import Image
 from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
-from services import disk
-from services.errors import InvalidRequest
-from services.questions.executor import Facts
-from services.questions.generator import QuestionFile, QuestionGenerator, QuestionRecord
-from services.rendering.color import to_bytes
-from services.rendering.factory import build
-from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
-from services.scenes.clevr.description import describe
-from services.scenes.clevr.generator import generate
-from services.scenes.clevr.records import Info, SceneFile, SceneRecord
-from services.scenes.description import Scene
-from services.scenes.library import Library
-from services.scenes.resolve import ResolvedScene, resolve
+from scene_attack import disk
+from scene_attack.errors import InvalidRequest
+from scene_attack.rendering.color import to_bytes
+from scene_attack.rendering.factory import build
+from scene_attack.rendering.pyrender.renderer import PyrenderRenderer
+from scene_attack.scenes.description import Scene
+from scene_attack.scenes.library import Library
+from scene_attack.scenes.resolve import ResolvedScene, resolve
+from scene_attack_questions.clevr.description import describe
+from scene_attack_questions.clevr.generator import generate
+from scene_attack_questions.clevr.records import Info, SceneFile, SceneRecord
+from scene_attack_questions.executor import Facts
+from scene_attack_questions.generator import QuestionFile, QuestionGenerator, QuestionRecord
 from training.iep.examples import Example, ObjectTruth
 from training.iep.processes import each
 from training.iep.recipe import SHARD, Part, Recipe, Split

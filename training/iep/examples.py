@@ -3,12 +3,12 @@
 from dataclasses import dataclass
 from functools import cached_property
 
-from services.questions.executor import Facts, Value, execute
-from services.questions.families import FAMILIES
-from services.questions.generator import QuestionRecord
-from services.questions.program import Program, Type
-from services.scenes.clevr.records import ATTRIBUTES, ObjectRecord
-from services.targets.iep.engine import GRID, STRIDE
+from scene_attack.targets.iep.engine import GRID, STRIDE
+from scene_attack_questions.clevr.records import ATTRIBUTES, ObjectRecord
+from scene_attack_questions.executor import Facts, Value, execute
+from scene_attack_questions.families import FAMILIES
+from scene_attack_questions.generator import QuestionRecord
+from scene_attack_questions.program import Program, Type
 
 Result = tuple[int, ...] | str
 """The true result of a node: the indices of the objects of a set or of one object, else a word of the answers."""

@@ -15,18 +15,18 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from services import disk
-from services.analysis.verdict import wilson
-from services.errors import InvalidRequest
-from services.questions.executor import ANSWERS
-from services.questions.families import FAMILIES
-from services.questions.program import Program
-from services.rendering.color import from_bytes
-from services.scenes.library import Library
-from services.targets.iep.assembly import Question, assemble
-from services.targets.iep.checkpoint import HOW_TO_GET_WEIGHTS, Checkpoint, load, to_bytes
-from services.targets.iep.engine import Engine
-from services.targets.iep.program_generator import to_prefix
+from scene_attack import disk
+from scene_attack.analysis.verdict import wilson
+from scene_attack.errors import InvalidRequest
+from scene_attack.rendering.color import from_bytes
+from scene_attack.scenes.library import Library
+from scene_attack.targets.iep.assembly import Question, assemble
+from scene_attack.targets.iep.checkpoint import HOW_TO_GET_WEIGHTS, Checkpoint, load, to_bytes
+from scene_attack.targets.iep.engine import Engine
+from scene_attack.targets.iep.program_generator import to_prefix
+from scene_attack_questions.executor import ANSWERS
+from scene_attack_questions.families import FAMILIES
+from scene_attack_questions.program import Program
 from training.export import Written
 from training.iep.data import BRIGHTER, COARSE, MOVED, TINTED, DataFolder, Images, Shard, examples_of
 from training.iep.engine_training import execute
@@ -174,7 +174,7 @@ def _written(share: Share) -> dict[str, Any]:
 
 
 NAME = "iep"
-SHIPPED = Path(str(files("services.targets").joinpath("weights"))) / f"{NAME}.safetensors"
+SHIPPED = Path(str(files("scene_attack.targets").joinpath("weights"))) / f"{NAME}.safetensors"
 """The checkpoint that ships with the project."""
 
 
@@ -346,9 +346,9 @@ def data_card(facts: dict[str, Any]) -> str:
     lines = [
         "# Views of CLEVR-style scenes",
         "",
-        "Scenes after CLEVR (Johnson et al. 2017), made by `services.scenes.clevr.generator`: cubes, spheres and "
-        "cylinders of two sizes, eight colours, rubber and metal on a floor, with jittered camera and lights. "
-        f"Questions are of the {len(FAMILIES)} families of `services.questions`, {recipe['questions']} about each "
+        "Scenes after CLEVR (Johnson et al. 2017), made by `scene_attack_questions.clevr.generator`: cubes, spheres "
+        "and cylinders of two sizes, eight colours, rubber and metal on a floor, with jittered camera and lights. "
+        f"Questions are of the {len(FAMILIES)} families of `scene_attack_questions`, {recipe['questions']} about each "
         "scene, balanced over families, functions and answers in each file of data.",
         "",
         "| split | scenes | objects | SHA-256 |",

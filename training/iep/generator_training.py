@@ -7,9 +7,9 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from services.errors import InvalidRequest
-from services.questions.text import encoded
-from services.targets.iep.program_generator import TOKENS, ProgramGenerator, to_prefix
+from scene_attack.errors import InvalidRequest
+from scene_attack.targets.iep.program_generator import TOKENS, ProgramGenerator, to_prefix
+from scene_attack_questions.text import encoded
 from training.iep.examples import Example
 
 PADDING = -1

@@ -16,9 +16,9 @@ from multiprocessing.connection import Connection
 from threading import Thread
 from typing import TypeVar
 
-from services.errors import JobFailure
-from services.process import use
-from services.settings import Settings
+from scene_attack.errors import JobFailure
+from scene_attack.process import use
+from scene_attack_service.settings import Settings
 
 T = TypeVar("T")
 R = TypeVar("R")

@@ -14,13 +14,13 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor, nn
 
-from services import disk
-from services.errors import InvalidRequest
-from services.rendering.color import from_bytes
-from services.scenes.library import Library
-from services.targets.iep.checkpoint import round_weights
-from services.targets.iep.engine import Network, Trunk
-from services.targets.iep.program_generator import ProgramGenerator
+from scene_attack import disk
+from scene_attack.errors import InvalidRequest
+from scene_attack.rendering.color import from_bytes
+from scene_attack.scenes.library import Library
+from scene_attack.targets.iep.checkpoint import round_weights
+from scene_attack.targets.iep.engine import Network, Trunk
+from scene_attack.targets.iep.program_generator import ProgramGenerator
 from training.iep.data import DataFolder, Images, Shard, examples_of, objects_of
 from training.iep.engine_training import engine_step
 from training.iep.generator_training import generator_step

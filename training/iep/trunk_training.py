@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from services.rendering.color import from_bytes
-from services.scenes.clevr.records import ATTRIBUTES
-from services.targets.iep.engine import CHANNELS, GRID, IMAGE, STRIDE, Engine, Trunk
+from scene_attack.rendering.color import from_bytes
+from scene_attack.targets.iep.engine import CHANNELS, GRID, IMAGE, STRIDE, Engine, Trunk
+from scene_attack_questions.clevr.records import ATTRIBUTES
 from training.iep.data import Images
 from training.iep.engine_training import mask_loss, occupancy
 from training.iep.examples import ObjectTruth

@@ -1,8 +1,8 @@
 import pytest
 from sqlalchemy import Engine
 
-from services.access.caller import OwnedAssets
-from services.access.keys import AccessKeys
+from scene_attack_service.access.caller import OwnedAssets
+from scene_attack_service.access.keys import AccessKeys
 from tests.unit.jobs.conftest import Clock, clock, database, engine
 
 __all__ = ["assets", "clock", "database", "engine", "keys"]

@@ -7,17 +7,17 @@ from pathlib import Path
 import pytest
 from sqlalchemy import Engine, event
 
-from services.access.caller import KEYLESS, Caller, OwnedAssets, Scope
-from services.blobs import blobs
-from services.errors import InUse, InvalidRequest
-from services.jobs.database import Database
-from services.jobs.models import Job
-from services.jobs.record import Record
-from services.jobs.uploads import REQUEST_SECONDS, DeletedAssets
-from services.pipeline.campaign_spec import CampaignSpec
-from services.pipeline.campaign_spec import parse as parse_campaign
-from services.pipeline.spec import JobSpec, parse
-from services.scenes.library import Library
+from scene_attack.blobs import blobs
+from scene_attack.errors import InUse, InvalidRequest
+from scene_attack.runs.campaign_spec import CampaignSpec
+from scene_attack.runs.campaign_spec import parse as parse_campaign
+from scene_attack.runs.spec import JobSpec, parse
+from scene_attack.scenes.library import Library
+from scene_attack_service.access.caller import KEYLESS, Caller, OwnedAssets, Scope
+from scene_attack_service.jobs.database import Database
+from scene_attack_service.jobs.models import Job
+from scene_attack_service.jobs.record import Record
+from scene_attack_service.jobs.uploads import REQUEST_SECONDS, DeletedAssets
 from tests.unit.jobs.conftest import Clock
 from tests.unit.jobs.records import attacks
 

@@ -4,8 +4,8 @@ import pytest
 from sqlalchemy import Engine, event, select
 from sqlalchemy.exc import OperationalError
 
-from services.access.caller import Caller, Scope
-from services.access.keys import USE_SECONDS, AccessKey, AccessKeys
+from scene_attack_service.access.caller import Caller, Scope
+from scene_attack_service.access.keys import USE_SECONDS, AccessKey, AccessKeys
 from tests.unit.jobs.conftest import Clock
 
 pytestmark = pytest.mark.slow

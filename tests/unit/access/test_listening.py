@@ -2,10 +2,10 @@ from pathlib import Path
 
 import pytest
 
-from services.access.caller import Scope
-from services.access.keys import AccessKeys, check_listening
-from services.errors import InvalidRequest
-from services.settings import Settings
+from scene_attack.errors import InvalidRequest
+from scene_attack_service.access.caller import Scope
+from scene_attack_service.access.keys import AccessKeys, check_listening
+from scene_attack_service.settings import Settings
 from tests.unit.client.command_line import process
 
 pytestmark = pytest.mark.slow

@@ -1,7 +1,7 @@
 import pytest
 
-from services.access.caller import KEYLESS, Caller, OwnedAssets, Quotas
-from services.errors import QuotaExceeded
+from scene_attack.errors import QuotaExceeded
+from scene_attack_service.access.caller import KEYLESS, Caller, OwnedAssets, Quotas
 
 ALICE, BOB = Caller("alice", frozenset(), "sa_1"), Caller("bob", frozenset(), "sa_2")
 

@@ -1,8 +1,8 @@
 import pytest
 from sqlalchemy import Engine, select
 
-from services.access.caller import Scope
-from services.access.keys import SESSION_SECONDS, AccessKeys, DashboardSession, Sessions
+from scene_attack_service.access.caller import Scope
+from scene_attack_service.access.keys import SESSION_SECONDS, AccessKeys, DashboardSession, Sessions
 from tests.unit.jobs.conftest import Clock
 
 

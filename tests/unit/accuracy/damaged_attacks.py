@@ -4,16 +4,16 @@ from dataclasses import replace
 
 import torch
 
-from services.accuracy.stability import attacks, networks
-from services.attacks import differences, goal, limits, problem, run, zoo
-from services.attacks import differences as attack_differences
-from services.attacks.differences import Estimate
-from services.attacks.fgsm import Fgsm
-from services.attacks.goal import ResolvedGoal
-from services.attacks.problem import AttackProblem
-from services.attacks.zoo import Zoo
-from services.rendering import color
-from services.targets.classifier import Classifier
+from scene_attack.attacks import differences, goal, limits, problem, run, zoo
+from scene_attack.attacks import differences as attack_differences
+from scene_attack.attacks.differences import Estimate
+from scene_attack.attacks.fgsm import Fgsm
+from scene_attack.attacks.goal import ResolvedGoal
+from scene_attack.attacks.problem import AttackProblem
+from scene_attack.attacks.zoo import Zoo
+from scene_attack.rendering import color
+from scene_attack.targets.classifier import Classifier
+from scene_attack_accuracy.stability import attacks, networks
 from tests.unit.accuracy.damage import breaks
 
 

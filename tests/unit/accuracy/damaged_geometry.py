@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from services.accuracy.stability import attacks, geometry, meshes, pyrender_light, torch_shading
-from services.attacks import problem
-from services.rendering.pyrender_renderer import renderer as pyrender_renderer
-from services.scenes import resolve
-from services.scenes.reading import normals, surfaces
+from scene_attack.attacks import problem
+from scene_attack.rendering.pyrender import renderer as pyrender_renderer
+from scene_attack.scenes import resolve
+from scene_attack.scenes.reading import normals, surfaces
+from scene_attack_accuracy.stability import attacks, geometry, meshes, pyrender_light, torch_shading
 from tests.unit.accuracy.damage import breaks
 
 

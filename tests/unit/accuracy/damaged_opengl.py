@@ -12,12 +12,12 @@ from tempfile import mkdtemp
 
 import numpy as np
 
-from services.accuracy import placing
-from services.rendering.kernels import compiled
-from services.rendering.opengl import context
-from services.rendering.pyrender_renderer import parameters, renderer
-from services.scenes import resolve
-from services.scenes.reading import gltf
+from scene_attack.rendering.kernels import compiled
+from scene_attack.rendering.opengl import context
+from scene_attack.rendering.pyrender import parameters, renderer
+from scene_attack.scenes import resolve
+from scene_attack.scenes.reading import gltf
+from scene_attack_accuracy import placing
 from tests.unit.accuracy.damage import breaks
 
 FOLDERS = mkdtemp(prefix="shaders-")
@@ -29,7 +29,7 @@ def shader(file: str, old: str, new: str):
 
     def apply(patch) -> None:
         drawing = context.current().renderer
-        from services.rendering.opengl import mesh_upload  # imports OpenGL, so after the context
+        from scene_attack.rendering.opengl import mesh_upload  # imports OpenGL, so after the context
 
         folder = Path(mkdtemp(dir=FOLDERS))
         for path in mesh_upload.SHADERS.iterdir():
@@ -169,7 +169,7 @@ def _plain(fields):
 def _patched(name: str, value):
     def apply(patch) -> None:
         context.current()  # before what imports OpenGL
-        from services.rendering.opengl import shadow_maps
+        from scene_attack.rendering.opengl import shadow_maps
 
         patch.setattr(shadow_maps, name, value)
 
@@ -183,8 +183,8 @@ no_casters = _patched("casters", lambda _corners, _plain, _light: [])
 def too_near(patch) -> None:
     """Every depth is taken for half as large, and everything is in the maps, the ground too."""
     context.current()
-    from services.rendering.opengl import shadow_maps
-    from services.rendering.opengl.shadows import ShadowView
+    from scene_attack.rendering.opengl import shadow_maps
+    from scene_attack.rendering.opengl.shadows import ShadowView
 
     row = ShadowView.row.fget
     patch.setattr(ShadowView, "row", property(lambda view: row(view) * np.array([1, 1, 1, 1.0]) * _half()))
@@ -199,7 +199,7 @@ def _half() -> np.ndarray:
 
 def rays_miss(patch) -> None:
     """No triangle stops a ray."""
-    from services.rendering.torch_renderer import surfaces
+    from scene_attack.rendering.torch import surfaces
 
     casters = surfaces.casters
     patch.setattr(surfaces, "casters", lambda scene: tuple(of[:2] for of in casters(scene)))

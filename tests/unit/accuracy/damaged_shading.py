@@ -5,17 +5,17 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from services.accuracy.stability import networks, torch_light, torch_shading
-from services.accuracy.stability.torch_shading import Shading
-from services.rendering import color
-from services.rendering.color import Canvas
-from services.rendering.pyrender_renderer import parameters
-from services.rendering.pyrender_renderer import renderer as pyrender_renderer
-from services.rendering.torch_renderer import dsbrdf, light, shader
-from services.rendering.torch_renderer import renderer as torch_renderer
-from services.rendering.torch_renderer.dsbrdf import COSINE_FLOOR
-from services.scenes import environment, resolve, view
-from services.scenes.reading import formats, gltf
+from scene_attack.rendering import color
+from scene_attack.rendering.color import Canvas
+from scene_attack.rendering.pyrender import parameters
+from scene_attack.rendering.pyrender import renderer as pyrender_renderer
+from scene_attack.rendering.torch import dsbrdf, light, shader
+from scene_attack.rendering.torch import renderer as torch_renderer
+from scene_attack.rendering.torch.dsbrdf import COSINE_FLOOR
+from scene_attack.scenes import environment, resolve, view
+from scene_attack.scenes.reading import formats, gltf
+from scene_attack_accuracy.stability import networks, torch_light, torch_shading
+from scene_attack_accuracy.stability.torch_shading import Shading
 from tests.unit.accuracy.damage import breaks
 
 

@@ -1,6 +1,6 @@
 """The image of one object by a second program: a loop over pixels, from the formulas of docs/reports/materials.md.
 
-It shares no code with services.rendering. Texels are averaged from the map's file, directions, solid angles, half
+It shares no code with scene_attack.rendering. Texels are averaged from the map's file, directions, solid angles, half
 vectors, material curves and exposure are computed anew, in world space, where the renderer works in the camera's; and
 normals come from rays through the triangles. All in numpy's long double (80 bits on x86), so that what it differs from
 float64 by is float64's. Derivatives are complex steps (Squire and Trapp 1998): no difference is taken, nothing cancels.
@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from services.scenes.mesh import Doubles, Floats
-from services.scenes.resolve import ResolvedScene
+from scene_attack.scenes.mesh import Doubles, Floats
+from scene_attack.scenes.resolve import ResolvedScene
 
 Wide = NDArray[np.longdouble]
 Number = NDArray[Any]

@@ -12,8 +12,8 @@ from torch import Tensor
 
 from benchmarks import attack_bounds
 from benchmarks.attack_bounds import GROUPS, AttackErrors, adversarial_scenes, attack_errors, random_scenes
-from services.accuracy.placing import library
-from services.rendering.torch_renderer.renderer import TorchRenderer
+from scene_attack.rendering.torch.renderer import TorchRenderer
+from scene_attack_accuracy.placing import library
 
 pytestmark = pytest.mark.slow
 

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from benchmarks.rasterised_images import beyond, compare, scenes
-from services.scenes.library import Library
-from services.settings import Settings
+from scene_attack.scenes.library import Library
+from scene_attack_service.settings import Settings
 
 pytestmark = pytest.mark.slow
 

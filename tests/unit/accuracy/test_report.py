@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from client.cli import app
-from services.accuracy.stability import report as stability
-from services.accuracy.stability.case import Case, Measured, need, observe
-from services.accuracy.stability.report import Report, markdown
-from services.errors import InvalidRequest, JobFailure
+from scene_attack.cli.app import app
+from scene_attack.errors import InvalidRequest, JobFailure
+from scene_attack_accuracy.stability import report as stability
+from scene_attack_accuracy.stability.case import Case, Measured, need, observe
+from scene_attack_accuracy.stability.report import Report, markdown
 
 COMMITTED = Path(__file__).parents[3] / "docs" / "accuracy"
 

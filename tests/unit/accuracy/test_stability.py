@@ -4,8 +4,8 @@ import re
 
 import pytest
 
-from services.accuracy.stability.case import Case, observe
-from services.accuracy.stability.report import cases
+from scene_attack_accuracy.stability.case import Case, observe
+from scene_attack_accuracy.stability.report import cases
 from tests.unit.accuracy.mutants import MUTANTS
 
 pytestmark = pytest.mark.slow

@@ -6,7 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from services.accuracy.work_precision import (
+from scene_attack.rendering.factory import build
+from scene_attack.rendering.torch import shader, table
+from scene_attack_accuracy.work_precision import (
     GROUPS,
     OPTION_TOLERANCES,
     QUICK,
@@ -21,8 +23,6 @@ from services.accuracy.work_precision import (
     subject,
     write,
 )
-from services.rendering.factory import build
-from services.rendering.torch_renderer import shader, table
 
 pytestmark = pytest.mark.slow
 

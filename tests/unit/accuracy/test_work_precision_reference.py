@@ -5,8 +5,14 @@ import pytest
 import torch
 from torch import Tensor
 
-from services.accuracy.placing import library
-from services.accuracy.work_precision import (
+from scene_attack.attacks.problem import generator
+from scene_attack.rendering.opengl.gbuffer import rasterise
+from scene_attack.rendering.protocol import Parameters
+from scene_attack.rendering.torch.renderer import TorchRenderer
+from scene_attack.rendering.torch.shader import Shader
+from scene_attack.scenes.resolve import ResolvedScene
+from scene_attack_accuracy.placing import library
+from scene_attack_accuracy.work_precision import (
     GROUPS,
     MATERIALS,
     SOME_WAY,
@@ -16,12 +22,6 @@ from services.accuracy.work_precision import (
     smooth_weights,
     subject,
 )
-from services.attacks.problem import generator
-from services.rendering.opengl.gbuffer import rasterise
-from services.rendering.protocol import Parameters
-from services.rendering.torch_renderer.renderer import TorchRenderer
-from services.rendering.torch_renderer.shader import Shader
-from services.scenes.resolve import ResolvedScene
 from tests.unit.accuracy import independent
 
 pytestmark = pytest.mark.slow

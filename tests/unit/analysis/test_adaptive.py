@@ -3,10 +3,10 @@
 import pytest
 import torch
 
-from services.analysis.records import RerenderingRequest
-from services.analysis.rerendering import LIMIT, attack_through
-from services.attacks.goal import ResolvedGoal
-from services.attacks.run import Verifier
+from scene_attack.analysis.records import RerenderingRequest
+from scene_attack.analysis.rerendering import LIMIT, attack_through
+from scene_attack.attacks.goal import ResolvedGoal
+from scene_attack.attacks.run import Verifier
 from tests.unit.attacks.small import FreeRenderer, LinearRenderer, LinearTarget
 
 

@@ -7,12 +7,12 @@ import pytest
 import torch
 from torch import Tensor
 
-from services.analysis.attribution import moved_parts, of_coordinates, of_subsets
-from services.analysis.records import Attribution, CoordinatesRequest
-from services.analysis.subsets import scored, subsets
-from services.attacks.goal import ResolvedGoal
-from services.attacks.run import Verifier
-from services.rendering.protocol import Parameters
+from scene_attack.analysis.attribution import moved_parts, of_coordinates, of_subsets
+from scene_attack.analysis.records import Attribution, CoordinatesRequest
+from scene_attack.analysis.subsets import scored, subsets
+from scene_attack.attacks.goal import ResolvedGoal
+from scene_attack.attacks.run import Verifier
+from scene_attack.rendering.protocol import Parameters
 from tests.unit.attacks.small import LinearRenderer, problem
 
 

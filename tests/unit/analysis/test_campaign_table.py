@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 from matplotlib.axes import Axes
 
-from services.analysis.campaign_figure import draw
-from services.analysis.campaign_table import (
+from scene_attack.analysis.campaign_figure import draw
+from scene_attack.analysis.campaign_table import (
     Case,
     Curves,
     Rate,

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from services.analysis.campaign_table import CASE_FIELDS, Case, CaseRow, best, cases_to_csv, grid, worst
+from scene_attack.analysis.campaign_table import CASE_FIELDS, Case, CaseRow, best, cases_to_csv, grid, worst
 
 
 def row(number: int, scene: str = "chair", azimuth: str = "0°", **changed: Any) -> CaseRow:

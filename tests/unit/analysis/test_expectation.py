@@ -4,12 +4,12 @@ import pytest
 import torch
 from torch import Tensor
 
-from services.analysis.expectation import held_over
-from services.analysis.verdict import wilson
-from services.attacks.goal import ResolvedGoal
-from services.attacks.problem import draw_variation
-from services.attacks.request import Expectation
-from services.attacks.run import Verifier
+from scene_attack.analysis.expectation import held_over
+from scene_attack.analysis.verdict import wilson
+from scene_attack.attacks.goal import ResolvedGoal
+from scene_attack.attacks.problem import draw_variation
+from scene_attack.attacks.request import Expectation
+from scene_attack.attacks.run import Verifier
 from tests.unit.attacks.small import LinearTarget, Pixels
 
 

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from services.analysis.rerendering import fit
+from scene_attack.analysis.rerendering import fit
 from tests.unit.attacks.small import FreeRenderer, LinearRenderer
 
 TRUTH = {"a": torch.full((2, 3), 0.02, dtype=torch.float64), "b": torch.tensor([0.03, 0.0, 0.05], dtype=torch.float64)}

@@ -2,7 +2,7 @@ from pathlib import Path
 
 import torch
 
-from services.analysis.images import load_png, magnified, save_png
+from scene_attack.analysis.images import load_png, magnified, save_png
 
 
 def test_magnified_five_times_around_128() -> None:

@@ -5,8 +5,8 @@ from typing import Any
 
 import pytest
 
-from services.analysis.campaign_table import part_means
-from services.analysis.verdict import NORMAL_95
+from scene_attack.analysis.campaign_table import part_means
+from scene_attack.analysis.verdict import NORMAL_95
 
 
 def attribution(**values: float) -> dict[str, Any]:

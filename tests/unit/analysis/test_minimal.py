@@ -5,13 +5,13 @@ from collections.abc import Callable
 import pytest
 import torch
 
-from services.analysis.minimal import minimal_change, scan_and_bisect
-from services.analysis.records import MinimalChange, MinimalRequest
-from services.analysis.subsets import scored
-from services.attacks.goal import ResolvedGoal
-from services.attacks.run import Verifier
-from services.rendering.physical_change import PhysicalChange
-from services.rendering.protocol import Parameters
+from scene_attack.analysis.minimal import minimal_change, scan_and_bisect
+from scene_attack.analysis.records import MinimalChange, MinimalRequest
+from scene_attack.analysis.subsets import scored
+from scene_attack.attacks.goal import ResolvedGoal
+from scene_attack.attacks.run import Verifier
+from scene_attack.rendering.physical_change import PhysicalChange
+from scene_attack.rendering.protocol import Parameters
 from tests.unit.analysis.test_attribution import Built, Pixels
 
 

@@ -3,8 +3,8 @@ import math
 import pytest
 import torch
 
-from services.analysis.images import FULL_RANGE, beyond, of_float_images, of_groups, of_images, perceptibility
-from services.rendering.color import to_bytes
+from scene_attack.analysis.images import FULL_RANGE, beyond, of_float_images, of_groups, of_images, perceptibility
+from scene_attack.rendering.color import to_bytes
 
 
 def test_a_constant_change_by_hand() -> None:

@@ -6,7 +6,7 @@ from itertools import permutations
 import pytest
 import torch
 
-from services.analysis import attribution
+from scene_attack.analysis import attribution
 
 Game = list[Fraction]
 """v(S) for every set S, as the bits of its index say."""

@@ -3,8 +3,8 @@ from math import log
 import pytest
 import torch
 
-from services.analysis.subsets import scored, subsets
-from services.attacks.run import Verifier
+from scene_attack.analysis.subsets import scored, subsets
+from scene_attack.attacks.run import Verifier
 from tests.unit.attacks.small import problem
 
 

@@ -3,11 +3,11 @@
 import pytest
 import torch
 
-from services.analysis.transfer import Wanted, indices, shown_to
-from services.attacks.goal import ResolvedGoal
-from services.attacks.run import Verifier
-from services.errors import InvalidRequest
-from services.pipeline.described import can_carry, described
+from scene_attack.analysis.transfer import Wanted, indices, shown_to
+from scene_attack.attacks.goal import ResolvedGoal
+from scene_attack.attacks.run import Verifier
+from scene_attack.errors import InvalidRequest
+from scene_attack.runs.described import can_carry, described
 from tests.unit.analysis.test_attribution import Built, Pixels
 from tests.unit.jobs.small import spec
 

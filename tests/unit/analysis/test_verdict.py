@@ -5,7 +5,7 @@ from itertools import product
 import pytest
 from scipy.stats import binomtest
 
-from services.analysis.verdict import SUCCESS, Verdict, judge, wilson
+from scene_attack.analysis.verdict import SUCCESS, Verdict, judge, wilson
 
 TRUTH, RIGHT, ALSO_RIGHT, WRONG, ALSO_WRONG = (0, 1), 0, 1, 2, 3
 

@@ -9,12 +9,12 @@ import httpx
 import pytest
 from fastapi import FastAPI
 
-from api.main import create_app, server
-from api.requests import Services
-from services.jobs.models import Artifact
-from services.jobs.record import Record
-from services.pipeline.spec import parse
-from services.settings import Settings
+from scene_attack.runs.spec import parse
+from scene_attack_api.main import create_app, server
+from scene_attack_api.requests import Services
+from scene_attack_service.jobs.models import Artifact
+from scene_attack_service.jobs.record import Record
+from scene_attack_service.settings import Settings
 from tests.unit.api.dashboard_records import open_record
 from tests.unit.api.guarded import Guarded, guarding
 from tests.unit.jobs.records import OUTCOME

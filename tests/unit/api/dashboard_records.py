@@ -11,18 +11,18 @@ import httpx
 from fastapi import FastAPI
 from httpx import ASGITransport
 
-from api import dashboard
-from api.requests import Services, caller
-from services.access.caller import KEYLESS
-from services.jobs.database import connect, migrate
-from services.jobs.leases import Attempt
-from services.jobs.models import Artifact, Job
-from services.jobs.queue import Queue
-from services.jobs.record import Record
-from services.pipeline.result import JobWarning, Result, outcome
-from services.pipeline.spec import JobSpec, parse
-from services.rendering.plan import GradientError, Item, Plan, Stage
-from services.settings import Settings
+from scene_attack.rendering.plan import GradientError, Item, Plan, Stage
+from scene_attack.runs.result import JobWarning, Result, outcome
+from scene_attack.runs.spec import JobSpec, parse
+from scene_attack_api import dashboard
+from scene_attack_api.requests import Services, caller
+from scene_attack_service.access.caller import KEYLESS
+from scene_attack_service.jobs.database import connect, migrate
+from scene_attack_service.jobs.leases import Attempt
+from scene_attack_service.jobs.models import Artifact, Job
+from scene_attack_service.jobs.queue import Queue
+from scene_attack_service.jobs.record import Record
+from scene_attack_service.settings import Settings
 
 SPEC = parse(
     {

@@ -8,15 +8,15 @@ import httpx
 from fastapi import FastAPI
 from fastapi.routing import iter_route_contexts
 
-from api.authentication import scope_of
-from api.main import create_app
-from api.requests import Services
-from services.access.caller import Caller, Scope
-from services.jobs.models import CampaignState, State
-from services.pipeline.campaign_spec import parse as parse_campaign
-from services.pipeline.spec import parse
-from services.scenes.bundle import Bundle
-from services.settings import DEFAULTS
+from scene_attack.runs.campaign_spec import parse as parse_campaign
+from scene_attack.runs.spec import parse
+from scene_attack.scenes.bundle import Bundle
+from scene_attack_api.authentication import scope_of
+from scene_attack_api.main import create_app
+from scene_attack_api.requests import Services
+from scene_attack_service.access.caller import Caller, Scope
+from scene_attack_service.jobs.models import CampaignState, State
+from scene_attack_service.settings import DEFAULTS
 from tests.dashboard_pages import NO_PAGES
 
 SPHERE = {"camera": {"size": [32, 32]}, "objects": [{"mesh": "primitive/sphere"}]}

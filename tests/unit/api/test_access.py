@@ -2,9 +2,9 @@
 
 import pytest
 
-from api.main import create_app
-from services.access.caller import Scope
-from services.settings import Settings
+from scene_attack_api.main import create_app
+from scene_attack_service.access.caller import Scope
+from scene_attack_service.settings import Settings
 from tests.unit.api.conftest import serving
 from tests.unit.api.guarded import CLOSED, PAGES, Guarded, bearer
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from httpx import Client
 
-from api.requests import Services
+from scene_attack_api.requests import Services
 
 BYTES = b"0123456789"
 ETAG = f'"{hashlib.sha256(BYTES).hexdigest()}"'

@@ -9,7 +9,7 @@ import pytest
 from httpx import Response
 from PIL import Image
 
-from services.pipeline.spec import parse
+from scene_attack.runs.spec import parse
 from tests.unit.api.guarded import ATTACK, Guarded
 from tests.unit.api.test_owners import UNKNOWN, names
 from tests.unit.scenes.test_companion_files import MTL, OBJ, image

@@ -9,8 +9,8 @@ import pytest
 from httpx import Client
 from structlog.testing import capture_logs
 
-from api.problems import REQUEST_ID
-from services import logs
+from scene_attack import logs
+from scene_attack_api.problems import REQUEST_ID
 from tests.unit.api.conftest import SPHERE
 from tests.unit.api.guarded import Guarded
 

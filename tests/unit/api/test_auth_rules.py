@@ -2,8 +2,8 @@
 
 import pytest
 
-from api.authentication import scope_of
-from services.access.caller import Scope
+from scene_attack_api.authentication import scope_of
+from scene_attack_service.access.caller import Scope
 from tests.dashboard_pages import NO_PAGES, PAGES
 from tests.unit.api.guarded import CLOSED, ROUTES
 

@@ -9,7 +9,7 @@ import pytest
 import trimesh
 from httpx import Client
 
-from api.requests import Services
+from scene_attack_api.requests import Services
 from tests.unit.api.conftest import SPHERE
 from tests.unit.jobs.records import attacks
 

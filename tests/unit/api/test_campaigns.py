@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 from httpx import Client
 
-from api.requests import Services
+from scene_attack_api.requests import Services
 
 SPEC: dict[str, Any] = {
     "name": "spheres",

@@ -2,7 +2,7 @@
 
 import pytest
 
-from api.dashboard.charts import (
+from scene_attack_api.dashboard.charts import (
     BAR,
     BOTTOM,
     COLUMN,
@@ -19,8 +19,8 @@ from api.dashboard.charts import (
     polar,
     upset,
 )
-from api.dashboard.views import charts, trace_of_events
-from services.jobs.models import Event
+from scene_attack_api.dashboard.views import charts, trace_of_events
+from scene_attack_service.jobs.models import Event
 from tests.unit.api.dashboard_records import ATTRIBUTION, row
 
 

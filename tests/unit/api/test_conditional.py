@@ -4,7 +4,7 @@ import re
 import pytest
 from httpx import Client
 
-from api.dashboard.pages import prose
+from scene_attack_api.dashboard.pages import prose
 
 GZIP = {"accept-encoding": "gzip"}
 PLAIN = {"accept-encoding": "identity"}

@@ -2,10 +2,10 @@
 
 from httpx import Client
 
-from api.requests import Services
-from services.jobs.models import Artifact, Job
-from services.pipeline.result import CHECKPOINT
-from services.pipeline.spec import parse
+from scene_attack.runs.result import CHECKPOINT
+from scene_attack.runs.spec import parse
+from scene_attack_api.requests import Services
+from scene_attack_service.jobs.models import Artifact, Job
 from tests.unit.api.conftest import SPHERE
 
 

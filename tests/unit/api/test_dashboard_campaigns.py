@@ -7,11 +7,11 @@ import httpx
 import pytest
 from httpx import ASGITransport
 
-from services.jobs.database import connect, migrate
-from services.jobs.queue import Queue
-from services.jobs.queue import connect as connect_redis
-from services.jobs.record import Record
-from services.settings import Settings
+from scene_attack_service.jobs.database import connect, migrate
+from scene_attack_service.jobs.queue import Queue
+from scene_attack_service.jobs.queue import connect as connect_redis
+from scene_attack_service.jobs.record import Record
+from scene_attack_service.settings import Settings
 from tests.unit.api.dashboard_records import Tags, app
 from tests.unit.jobs.campaign_stage import Stage, spec
 

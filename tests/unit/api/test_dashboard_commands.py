@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from api.dashboard.job_page import commands
+from scene_attack_api.dashboard.job_page import commands
 
 pytestmark = pytest.mark.slow
 

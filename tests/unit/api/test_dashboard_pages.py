@@ -4,13 +4,13 @@ import httpx
 import pytest
 from httpx import ASGITransport
 
-from services.errors import InvalidRequest
-from services.jobs.models import Artifact, Job
-from services.jobs.queue import Demand, Needs, Waiting
-from services.jobs.record import Record
-from services.jobs.states import Priority
-from services.pipeline.result import JobWarning, Result, outcome
-from services.pipeline.spec import JobSpec, parse
+from scene_attack.client.states import Priority
+from scene_attack.errors import InvalidRequest
+from scene_attack.runs.result import JobWarning, Result, outcome
+from scene_attack.runs.spec import JobSpec, parse
+from scene_attack_service.jobs.models import Artifact, Job
+from scene_attack_service.jobs.queue import Demand, Needs, Waiting
+from scene_attack_service.jobs.record import Record
 from tests.unit.api.dashboard_records import ATTRIBUTION, SPEC, Tags, add, app, result, row, send, start, succeed
 from tests.unit.jobs.records import attacks
 

@@ -10,15 +10,15 @@ import httpx
 import pytest
 from httpx import ASGITransport
 
-from api.dashboard.views import Chain, questions
-from services.jobs.models import Artifact
-from services.jobs.record import Record
-from services.pipeline.execute import execute
-from services.pipeline.result import Result, outcome
-from services.pipeline.spec import JobSpec, parse
-from services.scenes.clevr.description import describe
-from services.scenes.clevr.generator import generate
-from services.targets import registry
+from scene_attack.runs.execute import execute
+from scene_attack.runs.result import Result, outcome
+from scene_attack.runs.spec import JobSpec, parse
+from scene_attack.targets import registry
+from scene_attack_api.dashboard.views import Chain, questions
+from scene_attack_questions.clevr.description import describe
+from scene_attack_questions.clevr.generator import generate
+from scene_attack_service.jobs.models import Artifact
+from scene_attack_service.jobs.record import Record
 from tests.unit.api.dashboard_records import Tags, add, app, start
 from tests.unit.api.test_dashboard_pages import HOSTILE
 from tests.unit.jobs.small import LIBRARY

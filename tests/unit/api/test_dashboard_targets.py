@@ -2,7 +2,7 @@
 
 from httpx import Client
 
-from services.targets.info import available
+from scene_attack.targets.info import available
 from tests.unit.api.dashboard_records import Tags
 
 

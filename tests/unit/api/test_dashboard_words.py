@@ -2,7 +2,7 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 
-from api.dashboard import words
+from scene_attack_api.dashboard import words
 
 NOW = datetime(2030, 1, 1, tzinfo=UTC)
 
@@ -58,7 +58,7 @@ def test_ago(seconds: float, said: str) -> None:
 
 
 def test_every_kind_of_failure_has_its_sentence() -> None:
-    from services.errors import JobFailure
+    from scene_attack.errors import JobFailure
 
     kinds = [word.strip('",. ') for word in (JobFailure.__doc__ or "").split() if word.startswith('"')]
     assert kinds

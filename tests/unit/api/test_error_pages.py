@@ -2,8 +2,8 @@
 
 import pytest
 
-from api.problems import MEDIA_TYPE
-from services.access.caller import Scope
+from scene_attack_api.problems import MEDIA_TYPE
+from scene_attack_service.access.caller import Scope
 from tests.unit.api.dashboard_records import Tags
 from tests.unit.api.guarded import CLOSED, PAGES, Guarded
 

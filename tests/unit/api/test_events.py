@@ -3,8 +3,8 @@ import json
 import pytest
 from httpx import Client
 
-from api.authentication import COOKIE
-from services.access.caller import Scope
+from scene_attack_api.authentication import COOKIE
+from scene_attack_service.access.caller import Scope
 from tests.unit.api.guarded import Guarded, bearer
 
 
@@ -53,7 +53,7 @@ def test_events_of_no_job(client: Client) -> None:
 
 @pytest.mark.parametrize("by", ["key", "session"])
 def test_a_stream_ends_when_its_key_is_revoked(guarded: Guarded, monkeypatch: pytest.MonkeyPatch, by: str) -> None:
-    monkeypatch.setattr("api.watchers.KEY_SECONDS", 0.0)
+    monkeypatch.setattr("scene_attack_api.watchers.KEY_SECONDS", 0.0)
     keys = guarded.services.keys
     key, text = keys.create("watching", "alice", {Scope.JOBS_READ})
     headers = bearer(text) if by == "key" else {"cookie": f"{COOKIE}={guarded.services.sessions.begin(key.prefix)}"}

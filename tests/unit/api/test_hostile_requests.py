@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 from httpx import Client
 
-import api.requests
-from api.requests import Services
-from services.errors import InvalidRequest, without_folders
-from services.jobs.files import ArtifactStore
-from services.jobs.models import Artifact
-from services.pipeline.spec import parse
+from scene_attack.errors import InvalidRequest, without_folders
+from scene_attack.runs.spec import parse
+from scene_attack_api import requests
+from scene_attack_api.requests import Services
+from scene_attack_service.jobs.files import ArtifactStore
+from scene_attack_service.jobs.models import Artifact
 from tests.unit.api.conftest import SPHERE
 from tests.unit.jobs.records import OUTCOME
 
@@ -182,7 +182,7 @@ def test_paths_of_the_api_and_addresses_are_no_folders() -> None:
 
 
 def test_scenes_to_generate_are_counted_before_they_are_made(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("services.scenes.clevr.description.generate", None)  # calling it would be a 500
+    monkeypatch.setattr("scene_attack_questions.clevr.description.generate", None)  # calling it would be a 500
     answer = client.post("/v1/campaigns", json={"jobs": [{"generate": {"index": k}} for k in range(500)]})
     assert answer.status_code == 422
     [error] = answer.json()["errors"]
@@ -199,7 +199,7 @@ def test_a_body_is_parsed_beside_the_other_requests(client: Client, monkeypatch:
             assert answered.wait(60)
         return False
 
-    monkeypatch.setattr(api.requests, "is_nested_deeper", slow)
+    monkeypatch.setattr(requests, "is_nested_deeper", slow)
     statuses: list[int] = []
     post = lambda: statuses.append(client.post("/v1/jobs", content=json.dumps({"slow": 1}), headers=JSON).status_code)  # noqa: E731
     thread = threading.Thread(target=post)

@@ -4,7 +4,7 @@ import io
 import httpx
 import pytest
 
-from api.requests import Services
+from scene_attack_api.requests import Services
 
 
 def test_a_list_as_csv_and_json(client: httpx.Client, services: Services, finished: str) -> None:

@@ -3,10 +3,10 @@
 import httpx
 import pytest
 
-from api.dashboard.comparison import differences
-from services.errors import InvalidRequest
-from services.jobs.record import Record
-from services.pipeline.spec import RerenderingSpec, parse
+from scene_attack.errors import InvalidRequest
+from scene_attack.runs.spec import RerenderingSpec, parse
+from scene_attack_api.dashboard.comparison import differences
+from scene_attack_service.jobs.record import Record
 from tests.unit.api.dashboard_records import SPEC, Tags, add, result, send, start, succeed
 
 pytestmark = [pytest.mark.slow, pytest.mark.anyio]

@@ -6,12 +6,12 @@ from typing import Any
 import httpx
 import pytest
 
-from api.cursors import Cursor, read_cursor, write_cursor
-from api.requests import Services
-from services.jobs.job_list import Place
-from services.jobs.models import Job
-from services.jobs.states import State
-from services.pipeline.spec import parse
+from scene_attack.client.states import State
+from scene_attack.runs.spec import parse
+from scene_attack_api.cursors import Cursor, read_cursor, write_cursor
+from scene_attack_api.requests import Services
+from scene_attack_service.jobs.job_list import Place
+from scene_attack_service.jobs.models import Job
 from tests.unit.api.conftest import SPHERE
 from tests.unit.api.dashboard_records import Tags
 

@@ -5,9 +5,9 @@ import psutil
 import pytest
 from httpx import Client
 
-from api.requests import Services
-from api.warm_pool import TooSlow
-from services.jobs.states import Priority
+from scene_attack.client.states import Priority
+from scene_attack_api.requests import Services
+from scene_attack_api.warm_pool import TooSlow
 from tests.processes import command_line
 from tests.unit.api.conftest import SPHERE
 from tests.unit.jobs.records import attacks
@@ -93,7 +93,7 @@ def test_waiting_ends_when_the_time_is_over(client: Client) -> None:
     ],
 )
 def test_preferences(prefer: str | None, seconds: float | None) -> None:
-    from api.requests import wait_preferred
+    from scene_attack_api.requests import wait_preferred
 
     assert wait_preferred(prefer) == seconds
 
@@ -129,7 +129,8 @@ def test_more_jobs_than_the_queue_takes_are_put_off(client: Client, services: Se
 
 def test_a_lost_warm_process_is_replaced(client: Client) -> None:
     submit(client)
-    warm = [child for child in psutil.Process().children() if "services.jobs.warm_process" in command_line(child)]
+    children = psutil.Process().children()
+    warm = [child for child in children if "scene_attack_service.jobs.warm_process" in command_line(child)]
     assert warm
     for child in warm:
         child.kill()

@@ -34,6 +34,6 @@ def test_targets_are_listed(client: Client) -> None:
 
 
 def test_the_api_loads_neither_torch_nor_opengl() -> None:
-    code = "import sys, api.main; print([m for m in ('torch', 'OpenGL', 'pyrender') if m in sys.modules])"
+    code = "import sys, scene_attack_api.main; print([m for m in ('torch', 'OpenGL', 'pyrender') if m in sys.modules])"
     ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert ran.stdout == "[]\n"

@@ -5,11 +5,11 @@ from httpx import Client
 from prometheus_client.parser import text_string_to_metric_families
 from sqlalchemy import create_engine
 
-from api.requests import Services
-from api.routes.service import ServiceMetrics
-from services.jobs.database import Database
-from services.jobs.queue import Queue, connect
-from services.jobs.statistics import Figures
+from scene_attack_api.requests import Services
+from scene_attack_api.routes.service import ServiceMetrics
+from scene_attack_service.jobs.database import Database
+from scene_attack_service.jobs.queue import Queue, connect
+from scene_attack_service.jobs.statistics import Figures
 
 
 def test_the_process_is_well_by_itself(client: Client) -> None:

@@ -7,11 +7,11 @@ import pytest
 from httpx import Client
 from typer.testing import CliRunner
 
-from client.cli import app
-from services.process import options
-from services.targets.image_networks import ALEXNET
-from services.targets.info import TARGETS, Published, register
-from services.targets.labels import imagenet_labels
+from scene_attack.cli.app import app
+from scene_attack.process import options
+from scene_attack.targets.image_networks import ALEXNET
+from scene_attack.targets.info import TARGETS, Published, register
+from scene_attack.targets.labels import imagenet_labels
 
 SOURCE = "http://127.0.0.1:9/net-00.pth"
 """Nothing listens at this port."""

@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 from httpx import Client
 
-from api.requests import Services
-from services.pipeline.spec import JobSpec, parse
+from scene_attack.runs.spec import JobSpec, parse
+from scene_attack_api.requests import Services
 from tests.unit.api.conftest import SPHERE
 from tests.unit.jobs.records import attacks
 from tests.unit.scenes.test_uploaded_maps import TEXELS, exr

@@ -10,9 +10,9 @@ import torch
 from httpx import Client
 from typer.testing import CliRunner
 
-from client import attack
-from client.cli import app
-from services.errors import InvalidRequest
+from scene_attack import attack
+from scene_attack.cli.app import app
+from scene_attack.errors import InvalidRequest
 
 pytestmark = pytest.mark.slow
 
@@ -88,7 +88,7 @@ def door(
     request: pytest.FixtureRequest, tmp_path: Path, client: Client, monkeypatch: pytest.MonkeyPatch
 ) -> Callable[[dict[str, Any]], set[str]]:
     """Takes a job, and returns the fields for which it is refused."""
-    monkeypatch.setattr("client.commands.run.keep_memory", lambda: None)
+    monkeypatch.setattr("scene_attack.cli.commands.run.keep_memory", lambda: None)
 
     def of_campaign(refused: Callable[[dict[str, Any]], set[str]]) -> Callable[[dict[str, Any]], set[str]]:
         return lambda job: {field.removeprefix("jobs.0.") for field in refused({"jobs": [job]})}

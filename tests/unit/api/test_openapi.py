@@ -8,10 +8,10 @@ from fastapi.routing import APIRoute, iter_route_contexts
 from httpx import Client
 from pydantic import TypeAdapter
 
-from api.main import create_app
-from api.openapi import document
-from api.problems import ProblemDetails
-from services.settings import Settings
+from scene_attack_api.main import create_app
+from scene_attack_api.openapi import document
+from scene_attack_api.problems import ProblemDetails
+from scene_attack_service.settings import Settings
 
 pytestmark = pytest.mark.slow
 
@@ -19,7 +19,7 @@ COMMITTED = Path(__file__).parents[3] / "openapi.yaml"
 
 
 def test_the_committed_description_is_what_the_code_says() -> None:
-    assert COMMITTED.read_text() == document(), "run: python -m api.openapi > openapi.yaml"
+    assert COMMITTED.read_text() == document(), "run: python -m scene_attack_api.openapi > openapi.yaml"
 
 
 def test_it_is_what_the_app_serves(client: Client) -> None:
@@ -55,7 +55,7 @@ def test_operations_and_schemas_have_names_that_a_person_gave() -> None:
     assert all(list(schema) == ["$ref"] for schema in bodies)
 
 
-EXAMPLES = json.loads((COMMITTED.parent / "api" / "examples.json").read_text())
+EXAMPLES = json.loads((COMMITTED.parent / "api" / "scene_attack_api" / "examples.json").read_text())
 ROUTES = {
     route.name: route
     for route in (context.original_route for context in iter_route_contexts(create_app(Settings()).router.routes))

@@ -9,10 +9,10 @@ import torch
 from httpx import Client
 from PIL import Image
 
-from api.requests import Services
-from api.warm_pool import NoneFree, TooSlow
-from services.analysis.images import pixels
-from services.pipeline.prepare import plan, prepare
+from scene_attack.analysis.images import pixels
+from scene_attack.runs.prepare import plan, prepare
+from scene_attack_api.requests import Services
+from scene_attack_api.warm_pool import NoneFree, TooSlow
 from tests.unit.jobs.records import attacks
 from tests.unit.jobs.small import LIBRARY, SPHERE, spec
 

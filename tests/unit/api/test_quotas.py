@@ -2,7 +2,7 @@
 
 import pytest
 
-from services.access.caller import Quotas
+from scene_attack_service.access.caller import Quotas
 from tests.unit.api.guarded import ATTACK, CAMPAIGN, SPHERE, Guarded
 from tests.unit.api.test_owners import upload
 

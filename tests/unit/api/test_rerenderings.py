@@ -13,15 +13,15 @@ import torch
 from httpx import Client, Response
 from PIL import Image
 
-from api.requests import Services
-from services.analysis.images import pixels, png, save_png
-from services.analysis.records import Rerendering, RerenderingRequest
-from services.jobs.models import Artifact
-from services.pipeline.analyse import decode_image, rerender_image
-from services.pipeline.prepare import prepare
-from services.settings import Settings
+from scene_attack.analysis.images import pixels, png, save_png
+from scene_attack.analysis.records import Rerendering, RerenderingRequest
+from scene_attack.runs.analyse import decode_image, rerender_image
+from scene_attack.runs.prepare import prepare
+from scene_attack_api.requests import Services
+from scene_attack_service.jobs.models import Artifact
+from scene_attack_service.settings import Settings
+from scene_attack_worker.job_process import Jobs
 from tests.unit.jobs.small import LIBRARY, SPHERE, spec
-from worker.job_process import Jobs
 
 pytestmark = pytest.mark.slow
 

@@ -5,8 +5,8 @@ from collections.abc import Iterator
 import httpx
 import pytest
 
-from api.authentication import COOKIE
-from services.access.caller import Scope
+from scene_attack_api.authentication import COOKIE
+from scene_attack_service.access.caller import Scope
 from tests.unit.api.guarded import CLOSED, Guarded
 
 pytestmark = pytest.mark.slow

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-VENDOR = Path(__file__).parents[3] / "api" / "dashboard" / "static" / "vendor"
+VENDOR = Path(__file__).parents[3] / "api" / "scene_attack_api" / "dashboard" / "static" / "vendor"
 TABLE = dict(re.findall(r"^\| `([^`]+)` .*\| `([0-9a-f]{64})` \|$", (VENDOR / "VENDORED.md").read_text(), re.MULTILINE))
 
 

@@ -6,13 +6,13 @@ from typing import Any
 
 import pytest
 
-from api.submissions import Checks
-from api.warm_pool import MOST_OPEN, NoneFree, TooSlow, Unavailable, WarmPool
-from services.access.caller import KEYLESS
-from services.errors import InvalidRequest, QuotaExceeded
-from services.jobs.processes import ChildDied, OutOfMemory
-from services.settings import Settings
-from services.strict import Names
+from scene_attack.errors import InvalidRequest, QuotaExceeded
+from scene_attack.strict import Names
+from scene_attack_api.submissions import Checks
+from scene_attack_api.warm_pool import MOST_OPEN, NoneFree, TooSlow, Unavailable, WarmPool
+from scene_attack_service.access.caller import KEYLESS
+from scene_attack_service.jobs.processes import ChildDied, OutOfMemory
+from scene_attack_service.settings import Settings
 from tests.unit.jobs.small import spec
 
 LONG, NOT_AT_ALL = 60.0, 0.0

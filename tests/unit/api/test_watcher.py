@@ -8,14 +8,14 @@ from pathlib import Path
 import pytest
 from sqlalchemy import Engine, event
 
-from api import watchers as module
-from api.watchers import Watcher
-from services.access.caller import Scope
-from services.access.keys import AccessKeys
-from services.jobs.database import connect, migrate
-from services.jobs.models import Job, State
-from services.jobs.record import Record
-from services.settings import Settings
+from scene_attack_api import watchers as module
+from scene_attack_api.watchers import Watcher
+from scene_attack_service.access.caller import Scope
+from scene_attack_service.access.keys import AccessKeys
+from scene_attack_service.jobs.database import connect, migrate
+from scene_attack_service.jobs.models import Job, State
+from scene_attack_service.jobs.record import Record
+from scene_attack_service.settings import Settings
 from tests.unit.jobs.records import add, start
 
 pytestmark = pytest.mark.slow
@@ -150,7 +150,7 @@ def test_a_stream_of_a_deleted_job_ends(record: Record, engine: Engine) -> None:
 def test_a_stream_ends_with_its_key_and_others_go_on(
     record: Record, engine: Engine, monkeypatch: pytest.MonkeyPatch, has_key: bool
 ) -> None:
-    monkeypatch.setattr("api.watchers.KEY_SECONDS", 0.0)
+    monkeypatch.setattr("scene_attack_api.watchers.KEY_SECONDS", 0.0)
     keys = AccessKeys(engine)
     prefixes = [keys.create(name, "alice", {Scope.JOBS_READ})[0].prefix for name in "ab"] if has_key else ["", ""]
     reads = []

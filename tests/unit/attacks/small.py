@@ -9,13 +9,13 @@ import pytest
 import torch
 from torch import Tensor
 
-from services.attacks.attack import Attack, State
-from services.attacks.goal import ResolvedGoal
-from services.attacks.limits import Limits
-from services.attacks.problem import AttackProblem, Evaluation, differentiate, evaluate
-from services.attacks.run import AttackRun, Verifier, run_attack
-from services.errors import Cancelled
-from services.rendering.plan import ImageError, Plan
+from scene_attack.attacks.attack import Attack, State
+from scene_attack.attacks.goal import ResolvedGoal
+from scene_attack.attacks.limits import Limits
+from scene_attack.attacks.problem import AttackProblem, Evaluation, differentiate, evaluate
+from scene_attack.attacks.run import AttackRun, Verifier, run_attack
+from scene_attack.errors import Cancelled
+from scene_attack.rendering.plan import ImageError, Plan
 
 
 @dataclass
@@ -160,7 +160,7 @@ def resumed(
             raise Cancelled
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("services.attacks.run.CHECKPOINT_SECONDS", -1.0)
+        patch.setattr("scene_attack.attacks.run.CHECKPOINT_SECONDS", -1.0)
         with pytest.raises(Cancelled):
             attack(replace(make(), interrupt=die), settings, path, **given)
     assert path.exists()

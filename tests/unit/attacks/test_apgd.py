@@ -5,9 +5,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from services.attacks.apgd import Apgd
-from services.attacks.attack import State
-from services.attacks.problem import AttackProblem, evaluate
+from scene_attack.attacks.apgd import Apgd
+from scene_attack.attacks.attack import State
+from scene_attack.attacks.problem import AttackProblem, evaluate
 from tests.unit.attacks.small import FreeRenderer, LinearTarget, Pixels, attack, problem
 
 EPSILON = 3 / 255

@@ -4,9 +4,9 @@ import pytest
 import torch
 from cmaes import CMA
 
-from services.attacks.attack import State
-from services.attacks.cma_es import CmaEs
-from services.attacks.problem import AttackProblem, at_random_start, evaluate
+from scene_attack.attacks.attack import State
+from scene_attack.attacks.cma_es import CmaEs
+from scene_attack.attacks.problem import AttackProblem, at_random_start, evaluate
 from tests.unit.attacks.small import Bowl, FreeRenderer, LinearRenderer, Pixels, problem, stepped
 
 LIMITS = {"a": 0.3, "b": 0.1}
@@ -90,7 +90,7 @@ def test_members_are_pulled_back_before_they_are_asked_about() -> None:
 
 def test_the_first_generation_is_the_packages_own() -> None:
     """The same members as cmaes draws for the same mean, step size, bounds and seed, in units of the spread."""
-    from services.attacks.problem import derived
+    from scene_attack.attacks.problem import derived
 
     case, _ = bowl(seed=4)
     spread = case.layout.spread({"a": 0.1, "b": 0.1 / 3}).numpy()
@@ -111,7 +111,7 @@ def test_a_resumed_attack_goes_on_bit_for_bit(kind: str, monkeypatch: pytest.Mon
     if kind == "full":
         (case, _), limits = bowl(), LIMITS
     else:
-        monkeypatch.setattr("services.attacks.cma_es.LARGEST_COVARIANCE", 8)  # the 60 pixels are more
+        monkeypatch.setattr("scene_attack.attacks.cma_es.LARGEST_COVARIANCE", 8)  # the 60 pixels are more
         case, limits = (
             problem(Pixels(), Bowl(torch.zeros(4, 5, 3, dtype=torch.float64)), epsilon={"image": 0.1}),
             {"image": 0.1},

@@ -7,12 +7,12 @@ import pytest
 import torch
 from torch import Tensor
 
-from services.attacks.cma_es import CmaEs
-from services.attacks.differences import estimate, measure_half_steps
-from services.attacks.fgsm import Fgsm
-from services.attacks.goal import ResolvedGoal
-from services.attacks.zoo import Zoo
-from services.rendering.protocol import Parameters
+from scene_attack.attacks.cma_es import CmaEs
+from scene_attack.attacks.differences import estimate, measure_half_steps
+from scene_attack.attacks.fgsm import Fgsm
+from scene_attack.attacks.goal import ResolvedGoal
+from scene_attack.attacks.zoo import Zoo
+from scene_attack.rendering.protocol import Parameters
 from tests.unit.attacks.small import CurvedRenderer, FreeRenderer, LinearTarget, attack, problem
 
 

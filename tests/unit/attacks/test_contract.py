@@ -10,11 +10,11 @@ import torch
 from safetensors.torch import load_file
 from torch import Tensor
 
-from services.attacks.attack import Attack, State
-from services.attacks.problem import AttackProblem, Evaluation
-from services.attacks.run import Verifier
-from services.errors import JobFailure
-from services.rendering.protocol import Parameters
+from scene_attack.attacks.attack import Attack, State
+from scene_attack.attacks.problem import AttackProblem, Evaluation
+from scene_attack.attacks.run import Verifier
+from scene_attack.errors import JobFailure
+from scene_attack.rendering.protocol import Parameters
 from tests.unit.attacks.small import LinearRenderer, LinearTarget, attack, guided, problem
 
 Change = Callable[[Tensor], object]
@@ -194,7 +194,7 @@ def test_scores_and_images_without_a_graph() -> None:
 
 def test_a_state_whose_tensors_share_memory_is_saved(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It failed in jobs of more than two seconds, the time of the first checkpoint."""
-    monkeypatch.setattr("services.attacks.run.CHECKPOINT_SECONDS", -1.0)
+    monkeypatch.setattr("scene_attack.attacks.run.CHECKPOINT_SECONDS", -1.0)
     case = problem(target=LinearTarget(scale=1e-3))
     both = torch.arange(4.0).requires_grad_()
     state = {"delta": case.nothing, "one": both, "two": both, "part": both[1:]}

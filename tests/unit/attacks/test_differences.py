@@ -2,8 +2,8 @@ from collections.abc import Mapping
 
 import torch
 
-from services.attacks.differences import CANDIDATES, estimate, measure_half_steps, measure_noise
-from services.attacks.problem import AttackProblem
+from scene_attack.attacks.differences import CANDIDATES, estimate, measure_half_steps, measure_noise
+from scene_attack.attacks.problem import AttackProblem
 from tests.unit.attacks.small import FreeRenderer, LinearRenderer, LinearTarget, problem
 
 ALL = torch.arange(9)

@@ -6,15 +6,15 @@ from typing import Any
 import pytest
 import torch
 
-from services.attacks.attack import ATTACKS, Attack
-from services.attacks.problem import AttackProblem
+from scene_attack.attacks.attack import ATTACKS, Attack
+from scene_attack.attacks.problem import AttackProblem
 from tests.unit.attacks.small import Ahead, Pixels, attack, guided, problem, resumed, stepped
 
 pytestmark = pytest.mark.slow
 
 LIMIT = {"image": 6 / 255}
 BUILT_IN = sorted(
-    name for name, one in ATTACKS.items() if one.__module__.startswith("services.") and name != "natural-gradient"
+    name for name, one in ATTACKS.items() if one.__module__.startswith("scene_attack.") and name != "natural-gradient"
 )
 """But for the one that works on no pixels; test_natural_gradient.py has it."""
 STEPS = 25

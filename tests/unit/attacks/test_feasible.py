@@ -6,16 +6,10 @@ from typing import Any
 import pytest
 import torch
 
-from services.attacks.fgsm import Fgsm
-from services.attacks.limits import (
-    BACKTRACK_MARGIN,
-    P_MARGIN,
-    SLACK,
-    Limits,
-    pulled_back,
-)
-from services.attacks.problem import random_start
-from services.errors import InvalidRequest
+from scene_attack.attacks.fgsm import Fgsm
+from scene_attack.attacks.limits import BACKTRACK_MARGIN, P_MARGIN, SLACK, Limits, pulled_back
+from scene_attack.attacks.problem import random_start
+from scene_attack.errors import InvalidRequest
 from tests.unit.attacks.small import Ahead, FreeRenderer, LinearRenderer, attack, problem
 
 INITIAL = {"a": torch.tensor([0.5, 0.9], dtype=torch.float64), "b": torch.tensor([0.0], dtype=torch.float64)}

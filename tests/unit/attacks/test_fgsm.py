@@ -1,9 +1,9 @@
 import pytest
 import torch
 
-from services.attacks.fgsm import Fgsm
-from services.attacks.problem import evaluate
-from services.errors import JobFailure
+from scene_attack.attacks.fgsm import Fgsm
+from scene_attack.attacks.problem import evaluate
+from scene_attack.errors import JobFailure
 from tests.unit.attacks.small import FreeRenderer, LinearRenderer, LinearTarget, attack, guided, problem, stepped
 
 SETTINGS = Fgsm.model_construct(learning_rate={"a": 0.01, "b": 0.02}, momentum=0.9, weight_decay=0.1)

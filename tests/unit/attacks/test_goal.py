@@ -5,9 +5,9 @@ from math import log
 import pytest
 import torch
 
-from services.attacks.goal import ResolvedGoal, check_loss, loss
-from services.attacks.request import LOSSES
-from services.errors import InvalidRequest
+from scene_attack.attacks.goal import ResolvedGoal, check_loss, loss
+from scene_attack.attacks.request import LOSSES
+from scene_attack.errors import InvalidRequest
 
 LEAVE, REACH = ResolvedGoal((0,), None), ResolvedGoal((), 1)
 

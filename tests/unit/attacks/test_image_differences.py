@@ -13,7 +13,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from services.attacks.differences import (
+from scene_attack.attacks.differences import (
     IMAGE_CANDIDATES,
     PLACES,
     PROBES,
@@ -21,10 +21,10 @@ from services.attacks.differences import (
     measure_image_half_steps,
     projected,
 )
-from services.attacks.fgsm import Fgsm
-from services.attacks.problem import AttackProblem, Evaluation, differentiate, evaluate
-from services.errors import JobFailure
-from services.rendering.protocol import InactiveCoordinate, Parameters
+from scene_attack.attacks.fgsm import Fgsm
+from scene_attack.attacks.problem import AttackProblem, Evaluation, differentiate, evaluate
+from scene_attack.errors import JobFailure
+from scene_attack.rendering.protocol import InactiveCoordinate, Parameters
 from tests.unit.attacks.small import CurvedRenderer, LinearTarget, OpaqueCurvedRenderer, attack, problem, resumed
 
 FGSM = Fgsm.model_construct(learning_rate={"a": 0.01, "b": 0.01}, momentum=0.9, weight_decay=1e-4)
@@ -124,7 +124,7 @@ def test_a_difference_at_a_bound_is_divided_by_what_remains_of_it() -> None:
 
 @pytest.mark.parametrize("chunk", [1, 2, 5, 28])
 def test_batches_of_images_of_any_size_give_the_same(chunk: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("services.attacks.problem.MAX_BATCH", chunk)
+    monkeypatch.setattr("scene_attack.attacks.problem.MAX_BATCH", chunk)
     case, at = opaque(), place(0)
     sizes, true = [], case.renderer.render
 

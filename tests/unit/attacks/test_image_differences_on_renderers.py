@@ -8,20 +8,20 @@ import torch
 from torch import Tensor
 from torch.nn.functional import cosine_similarity
 
-from services.attacks.differences import ImageDifferences, measure_image_half_steps
-from services.attacks.goal import ResolvedGoal
-from services.attacks.limits import Limits
-from services.attacks.problem import AttackProblem, differentiate, evaluate
-from services.rendering.opengl.gbuffer import rasterise
-from services.rendering.protocol import Parameters, Renderer
-from services.rendering.pyrender_renderer.declaration import PYRENDER
-from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
-from services.rendering.torch_renderer.renderer import TorchRenderer
-from services.scenes.description import Scene
-from services.scenes.resolve import ResolvedScene, resolve
-from services.targets import registry
-from services.targets.classifier import Classifier
-from services.targets.protocol import Target
+from scene_attack.attacks.differences import ImageDifferences, measure_image_half_steps
+from scene_attack.attacks.goal import ResolvedGoal
+from scene_attack.attacks.limits import Limits
+from scene_attack.attacks.problem import AttackProblem, differentiate, evaluate
+from scene_attack.rendering.opengl.gbuffer import rasterise
+from scene_attack.rendering.protocol import Parameters, Renderer
+from scene_attack.rendering.pyrender.declaration import PYRENDER
+from scene_attack.rendering.pyrender.renderer import PyrenderRenderer
+from scene_attack.rendering.torch.renderer import TorchRenderer
+from scene_attack.scenes.description import Scene
+from scene_attack.scenes.resolve import ResolvedScene, resolve
+from scene_attack.targets import registry
+from scene_attack.targets.classifier import Classifier
+from scene_attack.targets.protocol import Target
 from tests.unit.jobs.small import LIBRARY
 
 pytestmark = pytest.mark.slow

@@ -6,8 +6,8 @@ from dataclasses import replace
 import pytest
 import torch
 
-from services.attacks.leave_out import SHARE, leave_out
-from services.attacks.zoo import Zoo
+from scene_attack.attacks.leave_out import SHARE, leave_out
+from scene_attack.attacks.zoo import Zoo
 from tests.unit.attacks.small import FreeRenderer, LinearTarget, attack, problem
 from tests.unit.attacks.test_constraint import Ball
 

@@ -3,14 +3,14 @@
 import pytest
 from pydantic import ValidationError
 
-from services.attacks.apgd import Apgd
-from services.attacks.fgsm import Fgsm
-from services.attacks.mi_fgsm import MiFgsm
-from services.attacks.square import Square
-from services.attacks.zoo import Zoo
-from services.pipeline.extensions import ATTACKS
-from services.rendering.pyrender_renderer.declaration import PYRENDER
-from services.rendering.torch_renderer.declaration import TORCH
+from scene_attack.attacks.apgd import Apgd
+from scene_attack.attacks.fgsm import Fgsm
+from scene_attack.attacks.mi_fgsm import MiFgsm
+from scene_attack.attacks.square import Square
+from scene_attack.attacks.zoo import Zoo
+from scene_attack.rendering.pyrender.declaration import PYRENDER
+from scene_attack.rendering.torch.declaration import TORCH
+from scene_attack.runs.extensions import ATTACKS
 
 
 @pytest.mark.parametrize(

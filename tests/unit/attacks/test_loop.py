@@ -6,16 +6,16 @@ from pathlib import Path
 import pytest
 import torch
 
-from services.attacks.attack import Attack, State
-from services.attacks.fgsm import Fgsm
-from services.attacks.goal import ResolvedGoal
-from services.attacks.problem import AttackProblem, Evaluation, evaluate, quantize
-from services.attacks.run import AttackRun, Verifier, run_attack
-from services.attacks.zoo import Zoo
-from services.errors import JobFailure
-from services.process import finite
-from services.rendering.color import as_saved
-from services.rendering.plan import ImageError
+from scene_attack.attacks.attack import Attack, State
+from scene_attack.attacks.fgsm import Fgsm
+from scene_attack.attacks.goal import ResolvedGoal
+from scene_attack.attacks.problem import AttackProblem, Evaluation, evaluate, quantize
+from scene_attack.attacks.run import AttackRun, Verifier, run_attack
+from scene_attack.attacks.zoo import Zoo
+from scene_attack.errors import JobFailure
+from scene_attack.process import finite
+from scene_attack.rendering.color import as_saved
+from scene_attack.rendering.plan import ImageError
 from tests.unit.attacks.small import Ahead, LinearRenderer, LinearTarget, attack, problem, resumed
 
 FGSM = Fgsm.model_construct(learning_rate={"a": 0.01, "b": 0.01}, momentum=0.9, weight_decay=1e-4)

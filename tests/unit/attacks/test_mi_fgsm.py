@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import torch
 
-from services.attacks.mi_fgsm import MiFgsm
+from scene_attack.attacks.mi_fgsm import MiFgsm
 from tests.unit.attacks.small import FreeRenderer, LinearTarget, guided, problem, stepped
 
 RATES = {"a": 0.01, "b": 0.02}

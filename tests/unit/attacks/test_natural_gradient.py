@@ -7,11 +7,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from services.attacks.differences import ImageDifferences
-from services.attacks.fgsm import Fgsm
-from services.attacks.natural_gradient import NaturalGradient, steepest
-from services.attacks.problem import AttackProblem
-from services.pipeline.spec import parse
+from scene_attack.attacks.differences import ImageDifferences
+from scene_attack.attacks.fgsm import Fgsm
+from scene_attack.attacks.natural_gradient import NaturalGradient, steepest
+from scene_attack.attacks.problem import AttackProblem
+from scene_attack.runs.spec import parse
 from tests.unit.attacks.small import (
     CurvedRenderer,
     LinearTarget,

@@ -5,13 +5,13 @@ from typing import Any
 import pytest
 import torch
 
-from services.attacks.differences import ImageDifferences
-from services.attacks.goal import ResolvedGoal
-from services.attacks.p_rgf import PRgf, projected_gradient, surrogate_gradient
-from services.attacks.problem import AttackProblem, Surrogate
-from services.attacks.request import Expectation
-from services.attacks.spsa import draw_directions
-from services.rendering.protocol import InactiveCoordinate
+from scene_attack.attacks.differences import ImageDifferences
+from scene_attack.attacks.goal import ResolvedGoal
+from scene_attack.attacks.p_rgf import PRgf, projected_gradient, surrogate_gradient
+from scene_attack.attacks.problem import AttackProblem, Surrogate
+from scene_attack.attacks.request import Expectation
+from scene_attack.attacks.spsa import draw_directions
+from scene_attack.rendering.protocol import InactiveCoordinate
 from tests.unit.attacks.small import (
     Ahead,
     FreeRenderer,

@@ -6,12 +6,12 @@ import pytest
 import torch
 from torch.nn.functional import cosine_similarity
 
-from services.attacks.goal import ResolvedGoal
-from services.attacks.limits import Limits
-from services.attacks.p_rgf import PRgf, projected_gradient, surrogate_gradient
-from services.attacks.problem import AttackProblem, Counts, Surrogate
-from services.attacks.spsa import draw_directions
-from services.rendering.protocol import Renderer
+from scene_attack.attacks.goal import ResolvedGoal
+from scene_attack.attacks.limits import Limits
+from scene_attack.attacks.p_rgf import PRgf, projected_gradient, surrogate_gradient
+from scene_attack.attacks.problem import AttackProblem, Counts, Surrogate
+from scene_attack.attacks.spsa import draw_directions
+from scene_attack.rendering.protocol import Renderer
 from tests.unit.attacks.small import LinearTarget, stepped
 from tests.unit.attacks.test_zoo_on_torch import at_random, autograd, build
 

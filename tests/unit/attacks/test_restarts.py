@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from services.attacks.attack import State
-from services.attacks.fgsm import Fgsm
-from services.attacks.problem import AttackProblem, Evaluation
-from services.attacks.run import AttackRun
+from scene_attack.attacks.attack import State
+from scene_attack.attacks.fgsm import Fgsm
+from scene_attack.attacks.problem import AttackProblem, Evaluation
+from scene_attack.attacks.run import AttackRun
 from tests.unit.attacks.small import Ahead, FreeRenderer, LinearTarget, attack, problem, resumed
 
 STEPS = 3

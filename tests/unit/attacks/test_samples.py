@@ -7,17 +7,17 @@ import pytest
 import torch
 from torch import Tensor
 
-from services.attacks.attack import ATTACKS
-from services.attacks.differences import ImageDifferences, estimate
-from services.attacks.goal import ResolvedGoal
-from services.attacks.limits import Limits
-from services.attacks.problem import AttackProblem, differentiate, draw_variation, evaluate
-from services.attacks.request import Expectation
-from services.attacks.run import AttackRun
-from services.rendering.factory import build
-from services.rendering.variation import Variation, noisy
-from services.scenes.description import Scene
-from services.scenes.resolve import resolve
+from scene_attack.attacks.attack import ATTACKS
+from scene_attack.attacks.differences import ImageDifferences, estimate
+from scene_attack.attacks.goal import ResolvedGoal
+from scene_attack.attacks.limits import Limits
+from scene_attack.attacks.problem import AttackProblem, differentiate, draw_variation, evaluate
+from scene_attack.attacks.request import Expectation
+from scene_attack.attacks.run import AttackRun
+from scene_attack.rendering.factory import build
+from scene_attack.rendering.variation import Variation, noisy
+from scene_attack.scenes.description import Scene
+from scene_attack.scenes.resolve import resolve
 from tests.unit.attacks.small import Ahead, Bowl, FreeRenderer, LinearTarget, Pixels, attack, problem
 from tests.unit.jobs.small import LIBRARY
 

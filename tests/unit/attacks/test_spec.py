@@ -6,9 +6,9 @@ from typing import ClassVar, Literal
 import pytest
 from pydantic import BaseModel
 
-from services.attacks.attack import ATTACKS, Attack, State, register
-from services.attacks.fgsm import Fgsm
-from services.attacks.zoo import Zoo
+from scene_attack.attacks.attack import ATTACKS, Attack, State, register
+from scene_attack.attacks.fgsm import Fgsm
+from scene_attack.attacks.zoo import Zoo
 
 
 def test_the_built_in_attacks_are_found() -> None:

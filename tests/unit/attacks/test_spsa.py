@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from services.attacks.spsa import Spsa, draw_directions, estimate
+from scene_attack.attacks.spsa import Spsa, draw_directions, estimate
 from tests.unit.attacks.small import LinearRenderer, autograd, problem, smooth, stepped
 
 pytestmark = pytest.mark.slow

@@ -3,11 +3,11 @@ from dataclasses import replace
 import pytest
 import torch
 
-from services.attacks.apgd import Apgd
-from services.attacks.attack import State
-from services.attacks.problem import AttackProblem, evaluate
-from services.attacks.run import AttackRun, Verifier, check_masking
-from services.attacks.square import Square, square_side
+from scene_attack.attacks.apgd import Apgd
+from scene_attack.attacks.attack import State
+from scene_attack.attacks.problem import AttackProblem, evaluate
+from scene_attack.attacks.run import AttackRun, Verifier, check_masking
+from scene_attack.attacks.square import Square, square_side
 from tests.unit.attacks.small import Ahead, LinearTarget, Pixels, attack, problem, stepped
 
 EPSILON = 4 / 255

@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor
 
-from services.attacks.goal import ResolvedGoal
-from services.attacks.run import Verifier
+from scene_attack.attacks.goal import ResolvedGoal
+from scene_attack.attacks.run import Verifier
 from tests.unit.attacks.small import LinearRenderer
 
 

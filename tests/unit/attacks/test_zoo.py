@@ -4,8 +4,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from services.attacks.differences import CANDIDATES, estimate
-from services.attacks.zoo import Zoo
+from scene_attack.attacks.differences import CANDIDATES, estimate
+from scene_attack.attacks.zoo import Zoo
 from tests.unit.attacks.small import (
     CurvedRenderer,
     FreeRenderer,

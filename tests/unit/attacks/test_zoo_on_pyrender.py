@@ -5,14 +5,14 @@ from pathlib import Path
 import pytest
 import torch
 
-from services.attacks.differences import estimate
-from services.attacks.goal import ResolvedGoal
-from services.attacks.limits import Limits
-from services.attacks.problem import AttackProblem
-from services.attacks.run import AttackRun, Verifier
-from services.attacks.zoo import Zoo
-from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
-from services.scenes.description import Lights, PointLight
+from scene_attack.attacks.differences import estimate
+from scene_attack.attacks.goal import ResolvedGoal
+from scene_attack.attacks.limits import Limits
+from scene_attack.attacks.problem import AttackProblem
+from scene_attack.attacks.run import AttackRun, Verifier
+from scene_attack.attacks.zoo import Zoo
+from scene_attack.rendering.pyrender.renderer import PyrenderRenderer
+from scene_attack.scenes.description import Lights, PointLight
 from tests.unit.attacks.small import LinearTarget, attack, stepped
 from tests.unit.rendering.shapes import mesh, placed, quad, scene
 
@@ -76,7 +76,7 @@ def test_a_coordinate_that_comes_to_matter_is_taken_up() -> None:
 
 
 def test_what_is_skipped_survives_a_restart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("services.attacks.run.CHECKPOINT_SECONDS", -1.0)  # after every step
+    monkeypatch.setattr("scene_attack.attacks.run.CHECKPOINT_SECONDS", -1.0)  # after every step
     zoo, path = settings(coordinates=5), tmp_path / "checkpoint"
     whole, _ = attack(problem(BEFORE, BEHIND), zoo, steps=2), attack(problem(BEFORE, BEHIND), zoo, path, steps=1)
     case = problem(BEFORE, BEHIND)

@@ -6,16 +6,16 @@ import pytest
 import torch
 from torch.nn.functional import cosine_similarity
 
-from services.attacks.differences import estimate
-from services.attacks.goal import ResolvedGoal
-from services.attacks.limits import Limits
-from services.attacks.problem import AttackProblem
-from services.rendering.opengl.gbuffer import rasterise
-from services.rendering.torch_renderer.renderer import TorchRenderer
-from services.scenes.description import Scene
-from services.scenes.resolve import resolve
-from services.targets import registry
-from services.targets.classifier import Classifier
+from scene_attack.attacks.differences import estimate
+from scene_attack.attacks.goal import ResolvedGoal
+from scene_attack.attacks.limits import Limits
+from scene_attack.attacks.problem import AttackProblem
+from scene_attack.rendering.opengl.gbuffer import rasterise
+from scene_attack.rendering.torch.renderer import TorchRenderer
+from scene_attack.scenes.description import Scene
+from scene_attack.scenes.resolve import resolve
+from scene_attack.targets import registry
+from scene_attack.targets.classifier import Classifier
 from tests.unit.attacks.small import autograd
 from tests.unit.jobs.small import LIBRARY
 

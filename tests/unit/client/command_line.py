@@ -9,8 +9,8 @@ from contextlib import redirect_stderr, redirect_stdout
 from typing import NamedTuple
 from unittest.mock import patch
 
-from client.__main__ import main
-from services.jobs.processes import ALLOCATOR
+from scene_attack.__main__ import main
+from scene_attack_service.jobs.processes import ALLOCATOR
 
 
 class Done(NamedTuple):
@@ -24,7 +24,7 @@ class Done(NamedTuple):
 def cli(*arguments: str, stdin: str = "", **environ: str) -> Done:
     """Runs a command without a process: its code is imported already, so that it takes its own time alone.
 
-    The settings that a process chooses once (services.process) cannot be given; `process` takes them.
+    The settings that a process chooses once (scene_attack.process) cannot be given; `process` takes them.
     """
     out, err, code = io.StringIO(), io.StringIO(), 0
     with (
@@ -46,7 +46,7 @@ def cli(*arguments: str, stdin: str = "", **environ: str) -> Done:
 def process(*arguments: str, stdin: str = "", **environ: str) -> Done:
     """Runs a command as a process."""
     done = subprocess.run(
-        [sys.executable, "-m", "client", *arguments],
+        [sys.executable, "-m", "scene_attack", *arguments],
         input=stdin,
         capture_output=True,
         text=True,

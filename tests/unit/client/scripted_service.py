@@ -10,11 +10,11 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-import client.client as client_module
-from client import Client
-from client.cli import app
+import scene_attack.client.client as client_module
+from scene_attack import Client
+from scene_attack.cli.app import app
 
-EXAMPLES = json.loads((Path(__file__).parents[3] / "api" / "examples.json").read_text("utf-8"))
+EXAMPLES = json.loads((Path(__file__).parents[3] / "api" / "scene_attack_api" / "examples.json").read_text("utf-8"))
 SUCCEEDED: dict[str, Any] = EXAMPLES["get_job"]["answer"]
 """A job of a real service, with its result."""
 UPLOADED: dict[str, Any] = EXAMPLES["upload_asset"]["answer"]

@@ -7,13 +7,13 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
-from services.analysis.images import save_png
-from services.analysis.records import AnalysisRequest, Rerendering
-from services.errors import InvalidRequest
-from services.pipeline.analyse import StoredAnalysis, analyse_stored
-from services.pipeline.execute import execute
-from services.pipeline.prepare import prepare
-from services.pipeline.result import PERTURBATION
+from scene_attack.analysis.images import save_png
+from scene_attack.analysis.records import AnalysisRequest, Rerendering
+from scene_attack.errors import InvalidRequest
+from scene_attack.runs.analyse import StoredAnalysis, analyse_stored
+from scene_attack.runs.execute import execute
+from scene_attack.runs.prepare import prepare
+from scene_attack.runs.result import PERTURBATION
 from tests.unit.client.command_line import cli
 from tests.unit.jobs.small import LIBRARY, SPHERE, spec
 

@@ -2,7 +2,7 @@ import json
 
 from typer.testing import CliRunner
 
-from client.cli import app
+from scene_attack.cli.app import app
 
 
 def test_maps_are_listed_with_their_creators_and_licences() -> None:

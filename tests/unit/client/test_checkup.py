@@ -5,12 +5,12 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from client import checkup
-from client.checkup import Finding
-from client.cli import app
-from services.blobs import blobs
-from services.jobs.database import connect, migrate
-from services.settings import Settings
+from scene_attack.blobs import blobs
+from scene_attack.cli import checkup
+from scene_attack.cli.app import app
+from scene_attack.cli.checkup import Finding
+from scene_attack_service.jobs.database import connect, migrate
+from scene_attack_service.settings import Settings
 from tests.unit.jobs.test_database import with_a_later_revision
 
 pytestmark = pytest.mark.slow

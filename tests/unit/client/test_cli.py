@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from client.cli import app
-from client.commands_page import commands
-from services.pipeline.result import PlannedCost
+from scene_attack.cli.app import app
+from scene_attack.cli.commands_page import commands
+from scene_attack.runs.result import PlannedCost
 from tests.unit.client.command_line import cli, process
 
 pytestmark = pytest.mark.slow
@@ -53,7 +53,7 @@ def test_a_command_imports_nothing_heavy_that_it_does_not_need(arguments: str, h
     spec.write_text(PLANNED % "1e-3")
     code = (
         f"import sys; sys.argv = ['scene-attack', *{arguments.format(spec=spec).split()!r}]\n"
-        "try:\n    from client.cli import main; main()\nexcept SystemExit: pass\n"
+        "try:\n    from scene_attack.cli.app import main; main()\nexcept SystemExit: pass\n"
         f"heavy = {heavy!r} & set(sys.modules)\n"
         "sys.exit(repr(heavy) if heavy else 0)"
     )
@@ -98,7 +98,7 @@ def test_a_plan_shows_its_progress_on_a_terminal_and_not_in_its_output(tmp_path:
     spec = tmp_path / "spec.json"
     spec.write_text(PLANNED % "1e-3")
     ours, terminal = pty.openpty()
-    command = [sys.executable, "-m", "client", "plan", str(spec), "--json"]
+    command = [sys.executable, "-m", "scene_attack", "plan", str(spec), "--json"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=terminal, env=os.environ | {"TERM": "xterm"}) as plan:
         os.close(terminal)
         shown = b"".join(iter(lambda: _read(ours), b""))

@@ -217,7 +217,7 @@ def test_ctrl_c_while_modules_are_imported_is_no_traceback() -> None:
     code = (
         "import builtins, sys; sys.argv = ['scene-attack', 'targets']; found = builtins.__import__\n"
         "def late(name, *more):\n    if name == 'typer': raise KeyboardInterrupt\n    return found(name, *more)\n"
-        "builtins.__import__ = late\nfrom client.__main__ import main; main()"
+        "builtins.__import__ = late\nfrom scene_attack.__main__ import main; main()"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (130, "scene-attack: interrupted\n")

@@ -11,10 +11,11 @@ import numpy as np
 import PIL.Image
 import pytest
 
-import client as package
-from client import ApiError, AsyncClient, Client, Unfinished, images, operations
-from client.client import AsyncJob
-from services.errors import InvalidRequest
+import scene_attack as package
+from scene_attack import ApiError, AsyncClient, Client, Unfinished, images
+from scene_attack.client import operations
+from scene_attack.client.client import AsyncJob
+from scene_attack.errors import InvalidRequest
 from tests.unit.client.scripted_service import (
     CAMPAIGN,
     DONE,

@@ -8,9 +8,9 @@ import json
 import pytest
 from rich.console import Console
 
-from client.cli import main
-from client.console import FittedTable, print_json, remark, say
-from client.tables import COLUMNS, SPARE
+from scene_attack.cli.app import main
+from scene_attack.cli.console import FittedTable, print_json, remark, say
+from scene_attack.cli.tables import COLUMNS, SPARE
 
 LONG = "normals+illumination+material"
 CELLS = ["grand-piano", f"torch {LONG} fgsm", "grand piano 0.77", "upright 0.41", "fooled", "yes", "12.34", "12.30",

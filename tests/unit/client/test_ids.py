@@ -5,10 +5,10 @@ import json
 import pytest
 from typer.testing import CliRunner
 
-from client import Client
-from client.cli import app
-from client.commands.options import whole_campaign_id, whole_job_id
-from services.errors import InvalidRequest
+from scene_attack import Client
+from scene_attack.cli.app import app
+from scene_attack.cli.commands.options import whole_campaign_id, whole_job_id
+from scene_attack.errors import InvalidRequest
 from tests.unit.client.scripted_service import Script, client, job, says, script
 
 pytestmark = pytest.mark.slow

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import torch
 
-from client import attack
-from services.errors import InvalidRequest
+from scene_attack import attack
+from scene_attack.errors import InvalidRequest
 
 SCENE: dict[str, Any] = {"objects": [{"mesh": "primitive/sphere"}], "camera": {"size": [32, 32]}}
 SPEC: dict[str, Any] = {"attack": {"renderer": "image", "steps": 1}}

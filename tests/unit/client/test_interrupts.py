@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from api.schemas import JobView
-from client.client import Client, Event, Job
-from client.commands import jobs, run
+from scene_attack.cli.commands import jobs, run
+from scene_attack.client.client import Client, Event, Job
+from scene_attack.client.schemas import JobView
 from tests.unit.client.scripted_service import job
 
 SPHERE = {"scene": {"objects": [{"mesh": "primitive/sphere"}]}}

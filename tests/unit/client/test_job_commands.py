@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from client import Client
-from client.cli import app
-from services.errors import InvalidRequest
+from scene_attack import Client
+from scene_attack.cli.app import app
+from scene_attack.errors import InvalidRequest
 from tests.unit.client.scripted_service import Script, client, job, printed, says, script
 
 pytestmark = pytest.mark.slow

@@ -7,11 +7,11 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from client.cli import app
-from services.access.keys import AccessKeys
-from services.errors import InvalidRequest
-from services.jobs.database import connect
-from services.settings import Settings
+from scene_attack.cli.app import app
+from scene_attack.errors import InvalidRequest
+from scene_attack_service.access.keys import AccessKeys
+from scene_attack_service.jobs.database import connect
+from scene_attack_service.settings import Settings
 
 pytestmark = pytest.mark.slow
 

@@ -8,12 +8,13 @@ import pytest
 from torch import nn
 from typer.testing import CliRunner
 
-from client import Client, attack, specs
-from client.cli import app
-from client.specs import Adding, bundle_at, folder_of, read_campaign, read_job, to_library, with_meshes_added
-from services.errors import InvalidFields, InvalidRequest
-from services.scenes.library import Library
-from services.settings import DEFAULTS, Settings
+from scene_attack import Client, attack
+from scene_attack.cli import specs
+from scene_attack.cli.app import app
+from scene_attack.cli.specs import Adding, bundle_at, folder_of, read_campaign, read_job, to_library, with_meshes_added
+from scene_attack.errors import InvalidFields, InvalidRequest
+from scene_attack.scenes.library import Library
+from scene_attack_service.settings import DEFAULTS, Settings
 from tests.unit.client.scripted_service import CAMPAIGN, UPLOADED, Script, client, says, script
 from tests.unit.client.scripted_service import job as answered
 from tests.unit.scenes.test_companion_files import MTL, OBJ, image

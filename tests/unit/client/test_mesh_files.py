@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from client.mesh_files import with_files_beside
-from services.errors import InvalidRequest
+from scene_attack.client.mesh_files import with_files_beside
+from scene_attack.errors import InvalidRequest
 from tests.unit.scenes.test_companion_files import MTL, OBJ, image
 
 

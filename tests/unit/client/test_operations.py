@@ -8,10 +8,11 @@ from typing import Any, get_args, get_type_hints
 import pytest
 import yaml
 
-from api.schemas import JobEdit
-from client import AsyncClient, Client, operations
-from client.operations import Request
-from services.pipeline.spec import parse
+from scene_attack import AsyncClient, Client
+from scene_attack.client import operations
+from scene_attack.client.operations import Request
+from scene_attack.client.schemas import JobEdit
+from scene_attack.runs.spec import parse
 from tests.unit.client.scripted_service import EXAMPLES
 
 ROOT = Path(__file__).parents[3]

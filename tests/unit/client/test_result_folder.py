@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
-from client.result_folder import check_free
-from services.errors import InvalidRequest
-from services.pipeline.spec import parse
+from scene_attack.cli.result_folder import check_free
+from scene_attack.errors import InvalidRequest
+from scene_attack.runs.spec import parse
 
 SPHERE: dict[str, Any] = {"scene": {"objects": [{"mesh": "primitive/sphere"}]}, "seed": 1}
 FILLED_IN = {"truth": ["ball"], "leave": "ball"}

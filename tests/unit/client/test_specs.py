@@ -3,8 +3,8 @@ from pathlib import Path
 
 import pytest
 
-from client import specs
-from services.errors import InvalidRequest
+from scene_attack.cli import specs
+from scene_attack.errors import InvalidRequest
 
 
 def test_reads_a_file_and_puts_the_seed_over_its_own(tmp_path: Path) -> None:

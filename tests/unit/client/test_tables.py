@@ -5,12 +5,21 @@ from typing import Any
 
 import pytest
 
-from client.tables import goal_line, outcome_cell, print_answered, print_asked, program_text, successes, verified, warn
-from services.analysis.records import Answer
-from services.analysis.verdict import Verdict
-from services.pipeline.result import Asked, Attended, JobWarning, Outcome, QuestionResult
-from services.questions.executor import ANSWERS, KINDS
-from services.questions.program import Node, Program
+from scene_attack.analysis.records import Answer
+from scene_attack.analysis.verdict import Verdict
+from scene_attack.cli.tables import (
+    goal_line,
+    outcome_cell,
+    print_answered,
+    print_asked,
+    program_text,
+    successes,
+    verified,
+    warn,
+)
+from scene_attack.runs.result import Asked, Attended, JobWarning, Outcome, QuestionResult
+from scene_attack_questions.executor import ANSWERS, KINDS
+from scene_attack_questions.program import Node, Program
 from tests.unit.client.scripted_service import SUCCEEDED
 
 

@@ -8,11 +8,11 @@ import pytest
 import yaml
 from typer.testing import CliRunner
 
-from api.middleware import FORM_BYTES
-from api.routes import service as health
-from client.cli import app
-from services.addresses import is_loopback
-from services.settings import DEFAULTS, Settings
+from scene_attack.addresses import is_loopback
+from scene_attack.cli.app import app
+from scene_attack_api.middleware import FORM_BYTES
+from scene_attack_api.routes import service as health
+from scene_attack_service.settings import DEFAULTS, Settings
 
 ROOT = Path(__file__).parents[3]
 COMPOSE: dict[str, Any] = yaml.safe_load((ROOT / "docker-compose.yml").read_text())
@@ -137,7 +137,7 @@ def test_the_kernels_are_compiled_for_other_machines_and_are_where_production_lo
     assert built["SCENE_ATTACK_KERNEL_ARCH"] == used["SCENE_ATTACK_KERNEL_ARCH"] == "portable"
     assert built["SCENE_ATTACK_KERNEL_DIR"] == used["SCENE_ATTACK_KERNEL_DIR"]
     assert f"COPY --from=build {used['SCENE_ATTACK_KERNEL_DIR']} {used['SCENE_ATTACK_KERNEL_DIR']}\n" in PRODUCTION
-    compiling = BUILD.index("RUN .venv/bin/python -m services.rendering.kernels.build")
+    compiling = BUILD.index("RUN .venv/bin/python -m scene_attack.rendering.kernels.build")
     assert BUILD.index("COPY services services") < BUILD.index("SCENE_ATTACK_KERNEL_ARCH") < compiling
     assert "COPY services services" in PRODUCTION  # the manifest's sources are compared with these
     volumes = [volume.split(":")[1] for volume in OURS["worker"]["volumes"]]
@@ -155,6 +155,7 @@ def test_what_the_image_copies_exists_and_is_not_ignored() -> None:
 def test_the_image_knows_every_package_when_it_installs() -> None:
     """An editable installation finds the packages that are there at that moment, and no others."""
     before = BUILD[: BUILD.index("RUN scripts/setup")]
-    for package in ("services", "api", "worker", "client"):
-        assert f"COPY {package}/__init__.py {package}/" in before
-        assert f"\nCOPY {package} {package}\n" in PRODUCTION
+    for root in ("services", "api", "worker"):
+        for package in (path.relative_to(ROOT) for path in (ROOT / root).glob("scene_attack*")):
+            assert f"COPY {package}/__init__.py {package}/" in before
+        assert f"\nCOPY {root} {root}\n" in PRODUCTION

@@ -9,8 +9,8 @@ import pytest
 import yaml
 from typer.testing import CliRunner
 
-from client.cli import app
-from services.settings import Settings
+from scene_attack.cli.app import app
+from scene_attack_service.settings import Settings
 
 pytestmark = pytest.mark.slow
 

@@ -11,23 +11,25 @@ ROOT = Path(__file__).parents[3]
 PAGE = (ROOT / "docs" / "reference" / "architecture.md").read_text("utf-8")
 DRAWN_ROOMS = dict(re.findall(r'^    (\w+)\["([\w/]+):', PAGE, re.MULTILINE))
 DRAWN_ARROWS = set(re.findall(r"^    (\w+) --> (\w+)$", PAGE, re.MULTILINE))
-GROUND_FLOOR = {path.stem for path in (ROOT / "services").glob("*.py")}
-"""Modules that every room may import; the page names them in words."""
+LIBRARY = ROOT / "services" / "scene_attack"
+GROUND_FLOOR = {path.stem for path in LIBRARY.glob("*.py")} - {"in_process", "__main__"}
+"""Modules of the library that every room may import; the page names them in words."""
+PACKAGES = ("scene_attack", *(f"scene_attack_{name}" for name in ("service", "questions", "accuracy", "api", "worker")))
 
 
 def room(module: str) -> str | None:
     """The name in the drawing of the room that a module is in; None for packages themselves and the ground floor."""
-    parts = module.split(".")
-    if parts[0] != "services":
-        return parts[0]
-    inside = parts[2:] if parts[1:2] == ["rendering"] else parts[1:]
-    return None if not inside or inside[0] in GROUND_FLOOR else inside[0]
+    package, *inside = module.split(".")
+    if package not in ("scene_attack", "scene_attack_service"):
+        return package.removeprefix("scene_attack_")
+    inside = inside[1:] if inside[:1] == ["rendering"] else inside
+    return None if not inside or inside[0] in GROUND_FLOOR else inside[0].strip("_")
 
 
 @pytest.fixture(scope="module")
 def imports() -> networkx.DiGraph:
     """Which room imports which."""
-    modules = grimp.build_graph("services", "api", "worker", "client", "training")
+    modules = grimp.build_graph(*PACKAGES, "training")
     found = networkx.DiGraph()
     for module in modules.modules:
         here = room(module)
@@ -44,7 +46,7 @@ def imports() -> networkx.DiGraph:
 def test_every_room_is_drawn_and_every_drawn_room_is_there(imports: networkx.DiGraph) -> None:
     assert set(DRAWN_ROOMS) == set(imports.nodes)
     for name, path in DRAWN_ROOMS.items():
-        place = ROOT / (f"services/{path}" if path.startswith("rendering/") else path)
+        place = LIBRARY / path if path.startswith("rendering/") else ROOT / path
         assert place.is_dir() or place.with_suffix(".py").is_file(), name
 
 

@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 import typer.main
 
-from client.cli import app
-from client.commands_page import commands, examples
+from scene_attack.cli.app import app
+from scene_attack.cli.commands_page import commands, examples
 from training.__main__ import app as training
 
 pytestmark = pytest.mark.slow
@@ -74,7 +74,11 @@ def test_the_shell_completes_commands_and_options() -> None:
     def completed(words: str) -> list[str]:
         environ = {"_SCENE_ATTACK_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": str(words.count(" "))}
         done = subprocess.run(
-            [sys.executable, "-m", "client"], env=os.environ | environ, capture_output=True, text=True, check=False
+            [sys.executable, "-m", "scene_attack"],
+            env=os.environ | environ,
+            capture_output=True,
+            text=True,
+            check=False,
         )
         assert done.stderr == ""
         return done.stdout.split()
@@ -86,7 +90,7 @@ def test_the_shell_completes_commands_and_options() -> None:
 
 def test_the_completion_of_each_shell_can_be_shown() -> None:
     done = subprocess.run(
-        [sys.executable, "-m", "client", "--show-completion", "bash"],
+        [sys.executable, "-m", "scene_attack", "--show-completion", "bash"],
         env=os.environ | {"SHELL": "/bin/bash", "_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION": "1"},
         capture_output=True, text=True, check=False,
     )  # fmt: skip

@@ -6,9 +6,8 @@ from pathlib import Path
 import pytest
 from pydantic import BaseModel
 
-from api.main import create_app
-from services.pipeline.spec import Goal
-from services.scenes.description import (
+from scene_attack.runs.spec import Goal
+from scene_attack.scenes.description import (
     Camera,
     DirectionalLight,
     Environment,
@@ -18,7 +17,8 @@ from services.scenes.description import (
     SceneObject,
     SpotLight,
 )
-from services.settings import Settings
+from scene_attack_api.main import create_app
+from scene_attack_service.settings import Settings
 from tests.unit.client.test_cli import COMMANDS
 
 ROOT = Path(__file__).parents[3]

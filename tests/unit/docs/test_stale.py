@@ -8,9 +8,9 @@ import pytest
 
 from benchmarks import stale
 from benchmarks.stale import ALEXNET, DEPENDS, IEP, LITE0, RESNET, ROOT, SCENES, network_print, renderer_print
-from services.rendering import color
-from services.scenes.library import Library
-from services.settings import Settings
+from scene_attack.rendering import color
+from scene_attack.scenes.library import Library
+from scene_attack_service.settings import Settings
 
 TODAY = {"torch": "1", "pyrender llvmpipe": "2", "iep": "3", "efficientnet-lite0": "4"}
 

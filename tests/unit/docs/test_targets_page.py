@@ -12,12 +12,12 @@ from pathlib import Path
 import pytest
 import torch
 
-from services.extensions import load
-from services.pipeline.extensions import register_folders
-from services.settings import Settings
-from services.targets import registry
-from services.targets.architectures import ARCHITECTURES
-from services.targets.custom.card import AllowList, Card, Preprocessing
+from scene_attack.extensions import load
+from scene_attack.runs.extensions import register_folders
+from scene_attack.targets import registry
+from scene_attack.targets.architectures import ARCHITECTURES
+from scene_attack.targets.custom.card import AllowList, Card, Preprocessing
+from scene_attack_service.settings import Settings
 from tests.unit.targets.custom.registries import restored
 
 pytestmark = pytest.mark.slow

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from services.pipeline.spec import parse
-from services.questions.executor import ANSWERS
-from services.questions.families import FAMILIES
-from services.questions.program import FUNCTIONS
-from services.questions.text import WORDS
-from services.scenes.clevr.description import scene_of
+from scene_attack.runs.spec import parse
+from scene_attack_questions.clevr.description import scene_of
+from scene_attack_questions.executor import ANSWERS
+from scene_attack_questions.families import FAMILIES
+from scene_attack_questions.program import FUNCTIONS
+from scene_attack_questions.text import WORDS
 
 PAGE = (Path(__file__).parents[3] / "docs" / "vqa.md").read_text("utf-8")
 

@@ -5,14 +5,14 @@ from pathlib import Path
 
 import pytest
 
-from api import openapi
 from benchmarks import gltf_materials
 from benchmarks import page as benchmarks_page
 from benchmarks.study.pages import FOLDER, PAGES
-from client import commands_page
-from services.accuracy import work_precision
-from services.accuracy.stability import report as stability
-from services.pipeline import field_tables
+from scene_attack.cli import commands_page
+from scene_attack.runs import field_tables
+from scene_attack_accuracy import work_precision
+from scene_attack_accuracy.stability import report as stability
+from scene_attack_api import openapi
 
 DOCS = Path(__file__).parents[3] / "docs"
 ACCURACY = DOCS / "accuracy"
@@ -30,9 +30,12 @@ def stability_page() -> str:
 WRITTEN: dict[str, tuple[str, Callable[[], str]]] = {
     "reports/benchmarks.md": ("python -m benchmarks.page", benchmarks_page.page),
     "reports/gltf.md": ("python -m benchmarks.gltf_materials", gltf_materials.page),
-    "reference/commands.md": ("python -m client.commands_page > docs/reference/commands.md", commands_page.page),
-    "reference/fields.md": ("python -m services.pipeline.field_tables", field_tables.page),
-    "reference/api.md": ("python -m api.openapi page > docs/reference/api.md", openapi.page),
+    "reference/commands.md": (
+        "python -m scene_attack.cli.commands_page > docs/reference/commands.md",
+        commands_page.page,
+    ),
+    "reference/fields.md": ("python -m scene_attack.runs.field_tables", field_tables.page),
+    "reference/api.md": ("python -m scene_attack_api.openapi page > docs/reference/api.md", openapi.page),
     "accuracy/stability.md": ("scene-attack accuracy stability", stability_page),
     "accuracy/work-precision.md": ("scene-attack accuracy work-precision", work_precision_page),
 }

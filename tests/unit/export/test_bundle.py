@@ -2,9 +2,9 @@
 
 import pytest
 
-from services.errors import InvalidRequest
-from services.export.bundle import read_finished
-from services.scenes.library import Library
+from scene_attack.errors import InvalidRequest
+from scene_attack.export.bundle import read_finished
+from scene_attack.scenes.library import Library
 
 
 def test_a_folder_without_a_result_is_refused(tmp_path) -> None:

@@ -5,9 +5,9 @@ import OpenEXR
 import pytest
 import torch
 
-from services.export.parameters import equirectangular, parameter_table, write_exr
-from services.scenes.description import DirectionalLight, Lights, PointLight
-from services.scenes.environment import average, from_image, read_exr
+from scene_attack.export.parameters import equirectangular, parameter_table, write_exr
+from scene_attack.scenes.description import DirectionalLight, Lights, PointLight
+from scene_attack.scenes.environment import average, from_image, read_exr
 from tests.unit.rendering.shapes import mesh, placed, quad, scene
 
 LIGHTS = Lights(points=(PointLight(energy=12),), directional=(DirectionalLight(energy=6, direction=(0, -2, 0)),))

@@ -4,9 +4,9 @@ from html.parser import HTMLParser
 
 import pytest
 
-from services.export.parameters import ParameterTable
-from services.export.report import content, curves, report
-from services.pipeline.result import ATTENTION, Result, subset_image
+from scene_attack.export.parameters import ParameterTable
+from scene_attack.export.report import content, curves, report
+from scene_attack.runs.result import ATTENTION, Result, subset_image
 from tests.unit.api.dashboard_records import result, row
 
 HOSTILE = "<script>alert(1)</script>\"'&"

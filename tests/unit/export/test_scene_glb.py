@@ -14,13 +14,13 @@ import torch
 import trimesh
 from PIL import Image
 
-from services.errors import InvalidRequest
-from services.export.glb import COAT, GLTF_SMITH, Glb, asset_glb, scene_glb
-from services.export.scene_values import scene_values
-from services.scenes.description import Background, DirectionalLight, Lights, PointLight, SceneObject, SpotLight
-from services.scenes.library import Library
-from services.scenes.mesh import Mesh
-from services.scenes.resolve import with_surface
+from scene_attack.errors import InvalidRequest
+from scene_attack.export.glb import COAT, GLTF_SMITH, Glb, asset_glb, scene_glb
+from scene_attack.export.scene_values import scene_values
+from scene_attack.scenes.description import Background, DirectionalLight, Lights, PointLight, SceneObject, SpotLight
+from scene_attack.scenes.library import Library
+from scene_attack.scenes.mesh import Mesh
+from scene_attack.scenes.resolve import with_surface
 from tests.unit.rendering.shapes import mesh, placed, quad, scene
 
 TEXELS = np.random.default_rng(0).integers(0, 256, (4, 6, 4), dtype=np.uint8)

@@ -5,15 +5,15 @@ from typing import Any
 from sqlalchemy import Engine, select
 from sqlalchemy.orm import Session
 
-from services.jobs.campaigns import Campaigns, Feeder
-from services.jobs.database import Database
-from services.jobs.models import Campaign, CampaignState, Job, State, not_paused
-from services.jobs.record import Record
-from services.pipeline.campaign_plan import identity
-from services.pipeline.campaign_spec import CampaignSpec, parse
-from services.pipeline.result import Provenance, Result, outcome
-from services.pipeline.spec import JobSpec
-from services.pipeline.spec import parse as parse_job
+from scene_attack.runs.campaign_plan import identity
+from scene_attack.runs.campaign_spec import CampaignSpec, parse
+from scene_attack.runs.result import Provenance, Result, outcome
+from scene_attack.runs.spec import JobSpec
+from scene_attack.runs.spec import parse as parse_job
+from scene_attack_service.jobs.campaigns import Campaigns, Feeder
+from scene_attack_service.jobs.database import Database
+from scene_attack_service.jobs.models import Campaign, CampaignState, Job, State, not_paused
+from scene_attack_service.jobs.record import Record
 from tests.unit.api.dashboard_records import result
 
 QUEUED = 3

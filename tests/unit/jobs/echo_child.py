@@ -4,7 +4,7 @@ import mmap
 import os
 import signal
 
-from services.jobs.processes import OUT_OF_MEMORY, connect, reply, requests
+from scene_attack_service.jobs.processes import OUT_OF_MEMORY, connect, reply, requests
 
 if __name__ == "__main__":
     connection = connect()

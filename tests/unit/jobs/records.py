@@ -2,12 +2,12 @@
 
 from typing import Any
 
-from services.jobs.job_list import ListedJob, parse_query
-from services.jobs.leases import Attempt
-from services.jobs.models import Artifact, Job, State
-from services.jobs.record import Record
-from services.pipeline.result import Outcome
-from services.pipeline.spec import JobSpec, parse
+from scene_attack.runs.result import Outcome
+from scene_attack.runs.spec import JobSpec, parse
+from scene_attack_service.jobs.job_list import ListedJob, parse_query
+from scene_attack_service.jobs.leases import Attempt
+from scene_attack_service.jobs.models import Artifact, Job, State
+from scene_attack_service.jobs.record import Record
 
 SPEC = parse({"scene": {"objects": [{"mesh": "primitive/sphere"}]}, "seed": 7})
 OUTCOME = Outcome(

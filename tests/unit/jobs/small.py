@@ -2,9 +2,9 @@
 
 from typing import Any
 
-from services.pipeline.spec import JobSpec, parse
-from services.scenes.library import Library
-from services.settings import Settings
+from scene_attack.runs.spec import JobSpec, parse
+from scene_attack.scenes.library import Library
+from scene_attack_service.settings import Settings
 
 LIBRARY = Library(Settings().cache_dir, Settings().data_dir)
 SPHERE = {"objects": [{"mesh": "primitive/sphere"}], "camera": {"size": [64, 64]}}

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from services.blobs import blobs
-from services.jobs.files import ArtifactStore, Damaged
+from scene_attack.blobs import blobs
+from scene_attack_service.jobs.files import ArtifactStore, Damaged
 
 pytestmark = pytest.mark.slow
 

@@ -11,14 +11,14 @@ from pathlib import Path
 import pytest
 from sqlalchemy import make_url
 
-from services.blobs import blobs
-from services.errors import InvalidRequest, JobFailure
-from services.jobs.backup import PARTS, back_up
-from services.jobs.database import connect, migrate
-from services.jobs.files import ArtifactStore
-from services.jobs.models import Artifact, State
-from services.jobs.record import Record
-from services.settings import Settings
+from scene_attack.blobs import blobs
+from scene_attack.errors import InvalidRequest, JobFailure
+from scene_attack_service.jobs.backup import PARTS, back_up
+from scene_attack_service.jobs.database import connect, migrate
+from scene_attack_service.jobs.files import ArtifactStore
+from scene_attack_service.jobs.models import Artifact, State
+from scene_attack_service.jobs.record import Record
+from scene_attack_service.settings import Settings
 from tests.unit.jobs.records import OUTCOME, add, attacks, start
 
 pytestmark = pytest.mark.slow

@@ -6,16 +6,16 @@ from typing import Any
 import pytest
 from sqlalchemy import Engine, update
 
-from services.errors import QuotaExceeded
-from services.jobs.campaigns import CHUNK, Feeder
-from services.jobs.database import Database
-from services.jobs.jobs import Key, KeyReused
-from services.jobs.models import Campaign, CampaignState, State
-from services.jobs.record import Record
-from services.pipeline.campaign_spec import CampaignSpec
-from services.pipeline.result import Result, outcome
-from services.pipeline.spec import JobSpec, digest
-from services.pipeline.spec import parse as parse_job
+from scene_attack.errors import QuotaExceeded
+from scene_attack.runs.campaign_spec import CampaignSpec
+from scene_attack.runs.result import Result, outcome
+from scene_attack.runs.spec import JobSpec, digest
+from scene_attack.runs.spec import parse as parse_job
+from scene_attack_service.jobs.campaigns import CHUNK, Feeder
+from scene_attack_service.jobs.database import Database
+from scene_attack_service.jobs.jobs import Key, KeyReused
+from scene_attack_service.jobs.models import Campaign, CampaignState, State
+from scene_attack_service.jobs.record import Record
 from tests.unit.jobs.campaign_stage import QUEUED, Stage, spec
 from tests.unit.jobs.records import add, attacks
 

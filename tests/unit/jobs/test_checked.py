@@ -1,9 +1,9 @@
 """Jobs that were accepted before their check had ended, which a worker then settles or rejects."""
 
-from services.errors import InvalidRequest
-from services.jobs.models import State
-from services.jobs.record import Record
-from services.pipeline.result import JobWarning
+from scene_attack.errors import InvalidRequest
+from scene_attack.runs.result import JobWarning
+from scene_attack_service.jobs.models import State
+from scene_attack_service.jobs.record import Record
 from tests.unit.jobs.records import SPEC, add, row, start
 
 

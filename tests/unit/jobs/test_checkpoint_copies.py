@@ -10,11 +10,11 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
-from services.blobs import Blobs, blobs
-from services.jobs import files
-from services.jobs.files import CheckpointCopies, WorkingFiles
-from services.jobs.leases import Attempt
-from services.jobs.record import Record
+from scene_attack.blobs import Blobs, blobs
+from scene_attack_service.jobs import files
+from scene_attack_service.jobs.files import CheckpointCopies, WorkingFiles
+from scene_attack_service.jobs.leases import Attempt
+from scene_attack_service.jobs.record import Record
 from tests.unit.jobs.records import add, start
 
 pytestmark = pytest.mark.slow

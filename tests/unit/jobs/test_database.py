@@ -9,12 +9,12 @@ from alembic.migration import MigrationContext
 from sqlalchemy import Engine, text
 from sqlalchemy.exc import IntegrityError
 
-import services.access.keys  # noqa: F401 - a table of the same database
-from services.errors import InvalidRequest
-from services.jobs import database
-from services.jobs.database import check_database, connect, migrate
-from services.jobs.models import Base
-from services.settings import Settings
+import scene_attack_service.access.keys  # noqa: F401 - a table of the same database
+from scene_attack.errors import InvalidRequest
+from scene_attack_service.jobs import database
+from scene_attack_service.jobs.database import check_database, connect, migrate
+from scene_attack_service.jobs.models import Base
+from scene_attack_service.settings import Settings
 
 pytestmark = pytest.mark.slow
 

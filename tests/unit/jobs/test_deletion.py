@@ -7,13 +7,19 @@ import pytest
 from sqlalchemy import Engine
 from sqlalchemy.orm import Session
 
-from services.errors import InUse
-from services.jobs.database import Database
-from services.jobs.files import GRACE_SECONDS, ArtifactStore, Housekeeping, delete_with_files, remove_unfinished
-from services.jobs.jobs import Jobs
-from services.jobs.models import Artifact, Campaign, CampaignJob, CampaignState, Job
-from services.jobs.record import Record
-from services.settings import Settings
+from scene_attack.errors import InUse
+from scene_attack_service.jobs.database import Database
+from scene_attack_service.jobs.files import (
+    GRACE_SECONDS,
+    ArtifactStore,
+    Housekeeping,
+    delete_with_files,
+    remove_unfinished,
+)
+from scene_attack_service.jobs.jobs import Jobs
+from scene_attack_service.jobs.models import Artifact, Campaign, CampaignJob, CampaignState, Job
+from scene_attack_service.jobs.record import Record
+from scene_attack_service.settings import Settings
 from tests.unit.jobs.conftest import Clock
 from tests.unit.jobs.records import OUTCOME, add, attacks, start
 

@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 from sqlalchemy import Connection, event
 
-from services.jobs.database import connect, migrate
-from services.jobs.record import Record
-from services.settings import Settings
+from scene_attack_service.jobs.database import connect, migrate
+from scene_attack_service.jobs.record import Record
+from scene_attack_service.settings import Settings
 from tests.unit.jobs.records import add, start
 
 NORMAL, FULL = 1, 2

@@ -9,8 +9,8 @@ import pytest
 from sqlalchemy import Engine, event, select, text, update
 from sqlalchemy.exc import OperationalError
 
-from services.jobs.models import Campaign, CampaignState, Job
-from services.jobs.record import Record
+from scene_attack_service.jobs.models import Campaign, CampaignState, Job
+from scene_attack_service.jobs.record import Record
 from tests.unit.jobs.campaign_stage import Stage, spec
 from tests.unit.jobs.records import OUTCOME, add, start
 from tests.unit.jobs.test_several_supervisors import POSTGRESQL

@@ -6,11 +6,11 @@ from typing import Any
 import pytest
 from sqlalchemy import Engine, text
 
-from services.jobs.database import Database
-from services.jobs.job_list import SORTS, JobLists, parse_query
-from services.jobs.models import State
-from services.jobs.record import Record
-from services.pipeline.spec import parse
+from scene_attack.runs.spec import parse
+from scene_attack_service.jobs.database import Database
+from scene_attack_service.jobs.job_list import SORTS, JobLists, parse_query
+from scene_attack_service.jobs.models import State
+from scene_attack_service.jobs.record import Record
 from tests.unit.jobs.conftest import Clock
 from tests.unit.jobs.records import OUTCOME, add, start
 

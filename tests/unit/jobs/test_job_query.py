@@ -2,8 +2,8 @@ from datetime import UTC, datetime
 
 import pytest
 
-from services.errors import InvalidRequest
-from services.jobs.job_list import Term, parse_query
+from scene_attack.errors import InvalidRequest
+from scene_attack_service.jobs.job_list import Term, parse_query
 
 
 def test_a_query_is_a_list_of_terms() -> None:

@@ -2,8 +2,8 @@ from typing import Any
 
 import pytest
 
-from services.jobs.models import LONGEST_TEXT, listed
-from services.jobs.record import Record
+from scene_attack_service.jobs.models import LONGEST_TEXT, listed
+from scene_attack_service.jobs.record import Record
 from tests.unit.jobs.records import SPEC, add, attacks
 
 ASKED: dict[str, Any] = SPEC.model_dump(mode="json") | {

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from services.jobs import processes as module
-from services.jobs.processes import LEAST_MEMORY, MOST_MEMORY, REST_BYTES, machine_memory, memory_limit
-from services.scenes.reading.isolated import READING_BYTES
-from services.settings import Settings
+from scene_attack.scenes.reading.isolated import READING_BYTES
+from scene_attack_service.jobs import processes as module
+from scene_attack_service.jobs.processes import LEAST_MEMORY, MOST_MEMORY, REST_BYTES, machine_memory, memory_limit
+from scene_attack_service.settings import Settings
 
 GIB = 2**30
 

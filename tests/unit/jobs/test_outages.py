@@ -15,12 +15,12 @@ from safetensors.torch import save_file
 from sqlalchemy import Engine, event, text
 from sqlalchemy.exc import SQLAlchemyError
 
-from services.disk import replacing
-from services.disk import write as write_file
-from services.jobs.database import Outage, be_patient, connect, migrate, outage_of
-from services.jobs.files import ArtifactStore, Storage
-from services.jobs.record import Record
-from services.settings import Settings
+from scene_attack.disk import replacing
+from scene_attack.disk import write as write_file
+from scene_attack_service.jobs.database import Outage, be_patient, connect, migrate, outage_of
+from scene_attack_service.jobs.files import ArtifactStore, Storage
+from scene_attack_service.jobs.record import Record
+from scene_attack_service.settings import Settings
 from tests.postgresql import free_port
 from tests.unit.jobs.records import add
 

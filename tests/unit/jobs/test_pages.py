@@ -1,8 +1,8 @@
 from sqlalchemy import Engine
 
-from services.jobs.database import Database
-from services.jobs.job_list import JobLists
-from services.jobs.record import Record
+from scene_attack_service.jobs.database import Database
+from scene_attack_service.jobs.job_list import JobLists
+from scene_attack_service.jobs.record import Record
 from tests.unit.jobs.conftest import Clock
 from tests.unit.jobs.records import add, attacks, start
 

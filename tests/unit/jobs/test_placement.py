@@ -4,12 +4,22 @@ from collections.abc import Iterator
 
 import pytest
 
-from services.jobs.leases import Attempt
-from services.jobs.models import Job
-from services.jobs.queue import NAME, Abilities, Demand, Needs, Queue, connect, reconcile, targets_of, why_waiting
-from services.jobs.record import Record
-from services.jobs.states import Priority
-from services.pipeline.spec import parse
+from scene_attack.client.states import Priority
+from scene_attack.runs.spec import parse
+from scene_attack_service.jobs.leases import Attempt
+from scene_attack_service.jobs.models import Job
+from scene_attack_service.jobs.queue import (
+    NAME,
+    Abilities,
+    Demand,
+    Needs,
+    Queue,
+    connect,
+    reconcile,
+    targets_of,
+    why_waiting,
+)
+from scene_attack_service.jobs.record import Record
 from tests.unit.jobs.conftest import Clock
 from tests.unit.jobs.records import SPEC
 

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from services.jobs import processes as module
-from services.jobs.processes import (
+from scene_attack_service.jobs import processes as module
+from scene_attack_service.jobs.processes import (
     AUTOGROUP,
     LONGEST_GAP,
     NICENESS,
@@ -23,7 +23,7 @@ from services.jobs.processes import (
     OutOfMemory,
     processor_seconds,
 )
-from services.settings import Settings
+from scene_attack_service.settings import Settings
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("children_of_tests")]
 
@@ -91,8 +91,8 @@ def test_a_child_that_takes_no_request_is_killed(child: Child, monkeypatch: pyte
 @pytest.mark.parametrize("doing", ["nothing", "hang", "stop"])
 def test_it_does_not_outlive_a_parent_that_is_killed(doing: str) -> None:
     script = f"""
-from services.jobs.processes import Child
-from services.settings import Settings
+from scene_attack_service.jobs.processes import Child
+from scene_attack_service.settings import Settings
 child = Child({ECHO!r}, Settings())
 child.receive(30)
 if {doing!r} != "nothing":
@@ -178,7 +178,7 @@ def test_time_in_which_the_caller_slept_itself_does_not_count(spinning: "subproc
 
 SCRIPT = f"""
 import os
-from services.jobs.processes import give_way
+from scene_attack_service.jobs.processes import give_way
 give_way()
 print(os.nice(0))
 print(open({str(AUTOGROUP)!r}).read() if os.path.exists({str(AUTOGROUP)!r}) else "")

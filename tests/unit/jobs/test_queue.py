@@ -9,11 +9,11 @@ from typing import Any, cast
 import pytest
 from rq.job import Job as Bell
 
-from api.submissions import Submissions
-from services.access.caller import KEYLESS, Quotas
-from services.jobs.queue import HEARTBEAT_SECONDS, NO_DEMAND, Abilities, Queue, connect, reconcile
-from services.jobs.record import Record
-from services.jobs.states import Priority
+from scene_attack.client.states import Priority
+from scene_attack_api.submissions import Submissions
+from scene_attack_service.access.caller import KEYLESS, Quotas
+from scene_attack_service.jobs.queue import HEARTBEAT_SECONDS, NO_DEMAND, Abilities, Queue, connect, reconcile
+from scene_attack_service.jobs.record import Record
 from tests.unit.jobs.conftest import Clock
 from tests.unit.jobs.records import SPEC, add, start
 

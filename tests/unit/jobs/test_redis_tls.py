@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 from redis import exceptions
 
-from services.jobs.queue import Queue, connect
-from services.jobs.states import Priority
+from scene_attack.client.states import Priority
+from scene_attack_service.jobs.queue import Queue, connect
 from tests import redis_over_tcp
 from tests.certificates import self_signed
 from tests.redis_over_tcp import QUOTED

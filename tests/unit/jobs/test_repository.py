@@ -7,15 +7,15 @@ from typing import Any, cast
 import pytest
 from sqlalchemy.exc import StatementError
 
-from api.schemas import JobView
-from api.submissions import Submissions
-from services.access.caller import KEYLESS, Quotas
-from services.errors import QuotaExceeded
-from services.jobs.jobs import Key, KeyReused, QueueFull
-from services.jobs.leases import MAX_ATTEMPTS, Attempt, Standing
-from services.jobs.models import Job, State
-from services.jobs.queue import NO_DEMAND, Queue, connect
-from services.jobs.record import Record
+from scene_attack.client.schemas import JobView
+from scene_attack.errors import QuotaExceeded
+from scene_attack_api.submissions import Submissions
+from scene_attack_service.access.caller import KEYLESS, Quotas
+from scene_attack_service.jobs.jobs import Key, KeyReused, QueueFull
+from scene_attack_service.jobs.leases import MAX_ATTEMPTS, Attempt, Standing
+from scene_attack_service.jobs.models import Job, State
+from scene_attack_service.jobs.queue import NO_DEMAND, Queue, connect
+from scene_attack_service.jobs.record import Record
 from tests.unit.jobs.conftest import Clock
 from tests.unit.jobs.records import OUTCOME, SPEC, add, artifact, attacks, row, start, state
 

@@ -9,11 +9,11 @@ import pytest
 from sqlalchemy import Engine, text
 from sqlalchemy.orm import Session
 
-from services.jobs import database as database_module
-from services.jobs import leases
-from services.jobs.campaigns import CHUNK, Feeder
-from services.jobs.models import Job, State
-from services.jobs.record import Record
+from scene_attack_service.jobs import database as database_module
+from scene_attack_service.jobs import leases
+from scene_attack_service.jobs.campaigns import CHUNK, Feeder
+from scene_attack_service.jobs.models import Job, State
+from scene_attack_service.jobs.record import Record
 from tests.unit.jobs.campaign_stage import Stage, spec
 from tests.unit.jobs.records import add, attacks, start
 

@@ -5,12 +5,12 @@ from typing import Any
 import pytest
 from sqlalchemy import Engine
 
-from services.jobs.database import Database
-from services.jobs.models import State
-from services.jobs.record import Record
-from services.jobs.statistics import Figures, TargetRecords
-from services.pipeline.result import Result, outcome
-from services.pipeline.spec import parse
+from scene_attack.runs.result import Result, outcome
+from scene_attack.runs.spec import parse
+from scene_attack_service.jobs.database import Database
+from scene_attack_service.jobs.models import State
+from scene_attack_service.jobs.record import Record
+from scene_attack_service.jobs.statistics import Figures, TargetRecords
 from tests.unit.api.dashboard_records import SPEC as DASHBOARD_SPEC
 from tests.unit.api.dashboard_records import result
 from tests.unit.jobs.conftest import Clock

@@ -5,13 +5,13 @@ from typing import Any
 from sqlalchemy import Engine, select
 from sqlalchemy.orm import Session
 
-from services.access.caller import OwnedAssets
-from services.jobs.database import Database
-from services.jobs.models import JobAsset
-from services.jobs.record import Record
-from services.jobs.uploads import AssetRecords, FirstAnswer
-from services.pipeline.result import Result, outcome
-from services.pipeline.spec import parse
+from scene_attack.runs.result import Result, outcome
+from scene_attack.runs.spec import parse
+from scene_attack_service.access.caller import OwnedAssets
+from scene_attack_service.jobs.database import Database
+from scene_attack_service.jobs.models import JobAsset
+from scene_attack_service.jobs.record import Record
+from scene_attack_service.jobs.uploads import AssetRecords, FirstAnswer
 from tests.unit.api.dashboard_records import SPEC, result
 from tests.unit.jobs.conftest import Clock
 from tests.unit.jobs.records import add

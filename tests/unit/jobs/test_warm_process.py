@@ -2,15 +2,15 @@ from pathlib import Path
 
 import pytest
 
-from services.errors import InvalidRequest, JobFailure
-from services.jobs import warm_process
-from services.jobs.files import ArtifactStore
-from services.jobs.processes import OUT_OF_MEMORY
-from services.jobs.warm_process import answer
-from services.pipeline.execute import execute
-from services.pipeline.prepare import plan as plan_of_job
-from services.rendering.plan import Plan
-from services.rendering.torch_renderer.renderer import TorchRenderer
+from scene_attack.errors import InvalidRequest, JobFailure
+from scene_attack.rendering.plan import Plan
+from scene_attack.rendering.torch.renderer import TorchRenderer
+from scene_attack.runs.execute import execute
+from scene_attack.runs.prepare import plan as plan_of_job
+from scene_attack_service.jobs import warm_process
+from scene_attack_service.jobs.files import ArtifactStore
+from scene_attack_service.jobs.processes import OUT_OF_MEMORY
+from scene_attack_service.jobs.warm_process import answer
 from tests.unit.jobs.small import LIBRARY, spec
 
 

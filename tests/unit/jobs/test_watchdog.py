@@ -2,7 +2,7 @@ from pathlib import Path
 
 import pytest
 
-from services.jobs import processes
+from scene_attack_service.jobs import processes
 
 
 @pytest.fixture(autouse=True)

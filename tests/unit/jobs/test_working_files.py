@@ -1,8 +1,8 @@
 from pathlib import Path
 
-from services.jobs.files import WorkingFiles
-from services.jobs.leases import Attempt
-from services.jobs.record import Record
+from scene_attack_service.jobs.files import WorkingFiles
+from scene_attack_service.jobs.leases import Attempt
+from scene_attack_service.jobs.record import Record
 from tests.unit.jobs.records import add, start
 
 

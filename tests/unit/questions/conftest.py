@@ -2,9 +2,9 @@
 
 import pytest
 
-from services.questions.generator import QuestionGenerator, QuestionRecord
-from services.scenes.clevr.generator import generate
-from services.scenes.clevr.records import SceneRecord
+from scene_attack_questions.clevr.generator import generate
+from scene_attack_questions.clevr.records import SceneRecord
+from scene_attack_questions.generator import QuestionGenerator, QuestionRecord
 
 
 @pytest.fixture(scope="session")

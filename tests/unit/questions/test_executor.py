@@ -7,11 +7,11 @@ from random import Random
 
 import pytest
 
-from services.errors import InvalidRequest
-from services.questions.executor import ANSWERS, KINDS, Facts, IllPosed, answer, execute, kind_asked, kind_of
-from services.questions.program import FUNCTIONS, InvalidProgram, Node, Program
-from services.scenes.clevr.generator import generate
-from services.scenes.clevr.records import SceneRecord
+from scene_attack.errors import InvalidRequest
+from scene_attack_questions.clevr.generator import generate
+from scene_attack_questions.clevr.records import SceneRecord
+from scene_attack_questions.executor import ANSWERS, KINDS, Facts, IllPosed, answer, execute, kind_asked, kind_of
+from scene_attack_questions.program import FUNCTIONS, InvalidProgram, Node, Program
 from tests.unit.questions.brute_force import ILL_POSED, meaning
 
 

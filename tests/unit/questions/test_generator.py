@@ -2,9 +2,9 @@
 
 from collections import Counter, defaultdict
 
-from services.questions.families import FAMILIES
-from services.questions.generator import QuestionGenerator
-from services.scenes.clevr.generator import generate
+from scene_attack_questions.clevr.generator import generate
+from scene_attack_questions.families import FAMILIES
+from scene_attack_questions.generator import QuestionGenerator
 
 SCENES = [generate(21, k) for k in range(30)]
 

@@ -4,7 +4,7 @@ import pickle
 
 import pytest
 
-from services.questions.program import FUNCTIONS, MAX_NODES, InvalidProgram, Node, Program
+from scene_attack_questions.program import FUNCTIONS, MAX_NODES, InvalidProgram, Node, Program
 
 SCENE = {"function": "scene", "inputs": [], "value_inputs": []}
 RED = {"function": "filter_color", "inputs": [0], "value_inputs": ["red"]}

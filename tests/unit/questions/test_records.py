@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from services.errors import InvalidRequest
-from services.questions.generator import QuestionFile
-from services.questions.program import Node
-from services.scenes.clevr.records import Info
+from scene_attack.errors import InvalidRequest
+from scene_attack_questions.clevr.records import Info
+from scene_attack_questions.generator import QuestionFile
+from scene_attack_questions.program import Node
 
 OFFICIAL = {
     "info": {

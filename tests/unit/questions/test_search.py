@@ -5,11 +5,11 @@ from random import Random
 
 import pytest
 
-from services.questions.executor import Facts, execute
-from services.questions.families import FAMILIES
-from services.questions.generator import QuestionRecord, build, instances
-from services.questions.program import Program
-from services.scenes.clevr.generator import generate
+from scene_attack_questions.clevr.generator import generate
+from scene_attack_questions.executor import Facts, execute
+from scene_attack_questions.families import FAMILIES
+from scene_attack_questions.generator import QuestionRecord, build, instances
+from scene_attack_questions.program import Program
 
 pytestmark = pytest.mark.slow
 

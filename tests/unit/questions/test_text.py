@@ -4,9 +4,9 @@ import pickle
 
 import pytest
 
-from services.errors import InvalidRequest
-from services.questions.program import Node, Program
-from services.questions.text import MAX_WORDS, WORDS, UnknownWord, difference, encoded, tokens
+from scene_attack.errors import InvalidRequest
+from scene_attack_questions.program import Node, Program
+from scene_attack_questions.text import MAX_WORDS, WORDS, UnknownWord, difference, encoded, tokens
 
 CLEVR = """
     a an and another any anything are as big both color do does either else equal fewer greater has have how is it its

@@ -4,8 +4,8 @@ import re
 
 import pytest
 
-from services.questions.families import FAMILIES
-from services.questions.text import WORDS, encoded, tokens
+from scene_attack_questions.families import FAMILIES
+from scene_attack_questions.text import WORDS, encoded, tokens
 
 pytestmark = pytest.mark.slow
 

@@ -1,6 +1,6 @@
 import pytest
 
-from services.rendering.kernels import compiled
+from scene_attack.rendering.kernels import compiled
 
 
 @pytest.fixture(params=["native", "torch"])

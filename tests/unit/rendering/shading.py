@@ -5,10 +5,10 @@ from math import acos, comb, cos, exp, pi, sin
 import numpy as np
 import torch
 
-from services.rendering.opengl.gbuffer import GBuffer
-from services.rendering.torch_renderer.dsbrdf import COSINE_FLOOR, ILLUMINATION_MEAN, MATERIAL_UNIT, WHITE
-from services.scenes.description import Camera, Scene, SceneObject
-from services.scenes.resolve import ResolvedScene
+from scene_attack.rendering.opengl.gbuffer import GBuffer
+from scene_attack.rendering.torch.dsbrdf import COSINE_FLOOR, ILLUMINATION_MEAN, MATERIAL_UNIT, WHITE
+from scene_attack.scenes.description import Camera, Scene, SceneObject
+from scene_attack.scenes.resolve import ResolvedScene
 from tests.unit.rendering.shapes import mesh, placed
 
 UNCOLORED = {"plastic": (1, 2), "glossy-paint": (1, 2), "rubber": (1, 2)}

@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from services.scenes.description import Camera, Lights, Scene, SceneObject, Shadows
-from services.scenes.mesh import Mesh
-from services.scenes.resolve import ResolvedScene
+from scene_attack.scenes.description import Camera, Lights, Scene, SceneObject, Shadows
+from scene_attack.scenes.mesh import Mesh
+from scene_attack.scenes.resolve import ResolvedScene
 from tests.unit.rendering import shapes
 
 CENTRE, RADIUS = np.array([0.2, 0.6, -0.1]), 0.35

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from services.scenes.description import Camera, Lights, Scene, SceneObject
-from services.scenes.mesh import Mesh, Part
-from services.scenes.resolve import ResolvedScene
+from scene_attack.scenes.description import Camera, Lights, Scene, SceneObject
+from scene_attack.scenes.mesh import Mesh, Part
+from scene_attack.scenes.resolve import ResolvedScene
 
 PLATFORMS = ("egl", "osmesa")
 NEAR, FAR = 0.05, 50.0

@@ -5,10 +5,10 @@ from typing import Any
 import pytest
 import torch
 
-from services.pipeline.spec import parse
-from services.rendering.factory import build
-from services.rendering.protocol import Renderer
-from services.scenes.resolve import ResolvedScene, resolve
+from scene_attack.rendering.factory import build
+from scene_attack.rendering.protocol import Renderer
+from scene_attack.runs.spec import parse
+from scene_attack.scenes.resolve import ResolvedScene, resolve
 from tests.unit.jobs.small import LIBRARY, SPHERE
 from tests.unit.scenes.test_background import picture
 

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 import torch
 
-from services.rendering.color import display_derivative, from_bytes, quantize, to_bytes, to_display
-from services.scenes.image_file import to_linear
+from scene_attack.rendering.color import display_derivative, from_bytes, quantize, to_bytes, to_display
+from scene_attack.scenes.image_file import to_linear
 
 pytestmark = pytest.mark.usefixtures("kernel")
 

@@ -4,8 +4,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from services.rendering.color import Canvas, over_ground, to_display
-from services.rendering.kernels import compiled
+from scene_attack.rendering.color import Canvas, over_ground, to_display
+from scene_attack.rendering.kernels import compiled
 
 SIZE = (7, 9)
 

@@ -4,9 +4,9 @@ from math import inf, nan
 
 import pytest
 
-from services.rendering.declaration import RENDERERS, Declaration, DeclaredRenderer, Group, labelled, register
-from services.rendering.pyrender_renderer.declaration import PYRENDER
-from services.rendering.torch_renderer.declaration import TORCH
+from scene_attack.rendering.declaration import RENDERERS, Declaration, DeclaredRenderer, Group, labelled, register
+from scene_attack.rendering.pyrender.declaration import PYRENDER
+from scene_attack.rendering.torch.declaration import TORCH
 
 FOG = Group(name="fog", shape=("H", "W"), unit="1/m", words="fog")
 

@@ -6,10 +6,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from services.errors import JobFailure
-from services.rendering.declaration import RENDERERS, BuildRequest, Declaration, DeclaredRenderer, Group, register
-from services.rendering.factory import build
-from services.rendering.plan import Plan
+from scene_attack.errors import JobFailure
+from scene_attack.rendering.declaration import RENDERERS, BuildRequest, Declaration, DeclaredRenderer, Group, register
+from scene_attack.rendering.factory import build
+from scene_attack.rendering.plan import Plan
 
 FOG = Declaration(
     name="fog",

@@ -8,14 +8,14 @@ import pytest
 import torch
 from torch import Tensor
 
-from services.rendering.opengl.gbuffer import rasterise
-from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
-from services.rendering.torch_renderer.renderer import TorchRenderer
-from services.scenes.description import Scene
-from services.scenes.library import Library
-from services.scenes.mesh import FIT_RADIUS
-from services.scenes.resolve import ResolvedScene, resolve
-from services.settings import Settings
+from scene_attack.rendering.opengl.gbuffer import rasterise
+from scene_attack.rendering.pyrender.renderer import PyrenderRenderer
+from scene_attack.rendering.torch.renderer import TorchRenderer
+from scene_attack.scenes.description import Scene
+from scene_attack.scenes.library import Library
+from scene_attack.scenes.mesh import FIT_RADIUS
+from scene_attack.scenes.resolve import ResolvedScene, resolve
+from scene_attack_service.settings import Settings
 
 SIDE = 2.5
 BALL = {"mesh": "primitive/sphere", "material": "matte", "scale": 0.4, "color": (0.8, 0.3, 0.1)}

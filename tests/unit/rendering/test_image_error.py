@@ -3,8 +3,8 @@
 import pytest
 import torch
 
-from services.rendering.plan import ImageError, image_error
-from services.rendering.pyrender_renderer.planner import estimated
+from scene_attack.rendering.plan import ImageError, image_error
+from scene_attack.rendering.pyrender.planner import estimated
 
 
 def test_the_mean_is_over_covered_pixels_and_the_share_counts_those_off_by_more_than_a_step() -> None:

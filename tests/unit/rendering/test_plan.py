@@ -2,7 +2,7 @@
 
 import pytest
 
-from services.rendering.plan import Item, Plan, Stage
+from scene_attack.rendering.plan import Item, Plan, Stage
 
 
 def item(part: str, error: float) -> Item:

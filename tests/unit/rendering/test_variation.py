@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from torch import Tensor
 
-from services.rendering.declaration import RENDERERS
-from services.rendering.factory import build
-from services.rendering.protocol import Renderer
-from services.rendering.variation import Variation, varied
-from services.scenes.description import Scene
-from services.scenes.image_file import to_linear
-from services.scenes.resolve import resolve
+from scene_attack.rendering.declaration import RENDERERS
+from scene_attack.rendering.factory import build
+from scene_attack.rendering.protocol import Renderer
+from scene_attack.rendering.variation import Variation, varied
+from scene_attack.scenes.description import Scene
+from scene_attack.scenes.image_file import to_linear
+from scene_attack.scenes.resolve import resolve
 from tests.unit.jobs.small import LIBRARY
 
 CAMERA: dict[str, Any] = {"size": [48, 48], "azimuth": 0.5, "elevation": 0.4, "distance": 2.0}

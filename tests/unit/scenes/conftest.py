@@ -2,8 +2,8 @@
 
 import pytest
 
-from services.scenes.library import Library
-from services.settings import Settings
+from scene_attack.scenes.library import Library
+from scene_attack_service.settings import Settings
 
 
 @pytest.fixture(scope="session")

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from services.errors import InvalidRequest
-from services.scenes.reading.formats import KINDS, read_mesh
-from services.scenes.reading.process import exported
+from scene_attack.errors import InvalidRequest
+from scene_attack.scenes.reading.formats import KINDS, read_mesh
+from scene_attack.scenes.reading.process import exported
 
 MAX_FACES = 300_000
 RIGHT_TRIANGLE = ["0", "0", "0", "1", "0", "0", "0", "1", "0"]

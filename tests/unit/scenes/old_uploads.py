@@ -4,8 +4,8 @@ import hashlib
 import json
 from pathlib import Path
 
-from services.scenes.reading.formats import read_mesh
-from services.scenes.store import save_parts
+from scene_attack.scenes.reading.formats import read_mesh
+from scene_attack.scenes.store import save_parts
 
 
 def add_as_before(directory: Path, data: bytes, kind: str) -> str:

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from services.errors import InvalidRequest
-from services.pipeline.spec import parse
-from services.rendering.torch_renderer.light import illumination
-from services.scenes.description import MAX_PICTURE, Camera, Scene
-from services.scenes.environment import average
-from services.scenes.image_file import to_display
-from services.scenes.resolve import canonical_json, displayed_map, exposure_of, resolve
-from services.scenes.view import camera_pose, projection
+from scene_attack.errors import InvalidRequest
+from scene_attack.rendering.torch.light import illumination
+from scene_attack.runs.spec import parse
+from scene_attack.scenes.description import MAX_PICTURE, Camera, Scene
+from scene_attack.scenes.environment import average
+from scene_attack.scenes.image_file import to_display
+from scene_attack.scenes.resolve import canonical_json, displayed_map, exposure_of, resolve
+from scene_attack.scenes.view import camera_pose, projection
 from tests.unit.jobs.small import LIBRARY, SPHERE
 
 SIZE = (40, 60)

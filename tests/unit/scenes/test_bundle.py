@@ -6,9 +6,9 @@ import zipfile
 
 import pytest
 
-from services.errors import InvalidRequest
-from services.scenes.bundle import Bundle, bundle_of, clean_name, unpack_archive
-from services.scenes.reading.isolated import reader
+from scene_attack.errors import InvalidRequest
+from scene_attack.scenes.bundle import Bundle, bundle_of, clean_name, unpack_archive
+from scene_attack.scenes.reading.isolated import reader
 from tests.unit.scenes.mesh_files import BOXES
 
 OBJ = BOXES["obj"]

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.scenes.furniture import (
+from scene_attack.scenes.furniture import (
     IDENTITY,
     Model,
     kind_of,
@@ -18,7 +18,7 @@ from services.scenes.furniture import (
     slugify,
     with_slugs,
 )
-from services.scenes.library import Library
+from scene_attack.scenes.library import Library
 
 HEAD = "id=X\nname=Test Models catalog\nlicense=Creative Commons Attribution 3.0 license\n"
 

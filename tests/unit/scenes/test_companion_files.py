@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from services.errors import InvalidRequest
-from services.scenes.reading.companion_files import Named, collada_images, named_files, texture_name
-from services.scenes.reading.isolated import reader
+from scene_attack.errors import InvalidRequest
+from scene_attack.scenes.reading.companion_files import Named, collada_images, named_files, texture_name
+from scene_attack.scenes.reading.isolated import reader
 from tests.unit.scenes.mesh_files import ASCII_PLY, BOXES, MAX_FACES
 
 OBJ = (

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from services.scenes.mesh import Mesh, Part
-from services.scenes.primitives import primitive
-from services.scenes.solids import is_convex
+from scene_attack.scenes.mesh import Mesh, Part
+from scene_attack.scenes.primitives import primitive
+from scene_attack.scenes.solids import is_convex
 
 
 def mesh(vertices: np.ndarray, faces: np.ndarray) -> Mesh:

@@ -7,10 +7,10 @@ import pytest
 import trimesh
 from PIL import Image
 
-from services.errors import InvalidRequest
-from services.scenes.reading.companion_files import CompanionFiles
-from services.scenes.reading.formats import read_mesh
-from services.scenes.reading.process import exported
+from scene_attack.errors import InvalidRequest
+from scene_attack.scenes.reading.companion_files import CompanionFiles
+from scene_attack.scenes.reading.formats import read_mesh
+from scene_attack.scenes.reading.process import exported
 
 BOX = trimesh.creation.box()
 INTERNALS = ("Error", "Stream", "codec", "sys.", "Expecting", "int()", "float:", "method", "matmul", "seek")

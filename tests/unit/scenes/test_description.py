@@ -5,8 +5,8 @@ import json
 import pytest
 from pydantic import ValidationError
 
-from services.scenes.description import Scene, SceneObject, Shadows, object_names
-from services.scenes.resolve import canonical_json
+from scene_attack.scenes.description import Scene, SceneObject, Shadows, object_names
+from scene_attack.scenes.resolve import canonical_json
 
 
 def scene(**more: object) -> Scene:

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.errors import InvalidRequest, JobFailure
-from services.scenes.environment import average, from_image, read_exr, uniform
+from scene_attack.errors import InvalidRequest, JobFailure
+from scene_attack.scenes.environment import average, from_image, read_exr, uniform
 
 
 def direction(row, column, rows, cols):

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 import trimesh
 
-from services.rendering.factory import build
-from services.scenes.bundle import Bundle
-from services.scenes.description import Scene
-from services.scenes.library import Library
-from services.scenes.reading.isolated import reader
-from services.scenes.reading.process import exported
-from services.scenes.resolve import resolve
-from services.settings import Settings
+from scene_attack.rendering.factory import build
+from scene_attack.scenes.bundle import Bundle
+from scene_attack.scenes.description import Scene
+from scene_attack.scenes.library import Library
+from scene_attack.scenes.reading.isolated import reader
+from scene_attack.scenes.reading.process import exported
+from scene_attack.scenes.resolve import resolve
+from scene_attack_service.settings import Settings
 
 OFFSET = np.array([2.0**20, 2.0**21, -3.0 * 2**18])
 """About 2,400 km, in metres."""

@@ -5,8 +5,8 @@ from typing import Any
 
 import pytest
 
-from services.pipeline.spec import digest, parse
-from services.scenes.resolve import ResolvedScene, canonical_json, resolve
+from scene_attack.runs.spec import digest, parse
+from scene_attack.scenes.resolve import ResolvedScene, canonical_json, resolve
 from tests.unit.jobs.small import LIBRARY
 
 TURNED = {"mesh": "primitive/cube", "scale": 0.6, "rotation": [0, 0, pi / 4], "translation": [0, 0.1, 0]}

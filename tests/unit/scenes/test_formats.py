@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from services.errors import InvalidRequest
-from services.scenes.reading.isolated import reader
+from scene_attack.errors import InvalidRequest
+from scene_attack.scenes.reading.isolated import reader
 from tests.unit.scenes.format_files import BOUND, MODEL, TEXTURED, dae, gltf, obj, off, ply, three_mf, zipped
 from tests.unit.scenes.mesh_files import MAX_FACES, extent
 

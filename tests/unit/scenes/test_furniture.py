@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from services.errors import JobFailure
-from services.scenes.furniture import IDENTITY, Model, load_model
-from services.scenes.mesh import FIT_RADIUS
-from services.scenes.reading.surfaces import read_opacity
+from scene_attack.errors import JobFailure
+from scene_attack.scenes.furniture import IDENTITY, Model, load_model
+from scene_attack.scenes.mesh import FIT_RADIUS
+from scene_attack.scenes.reading.surfaces import read_opacity
 from tests.unit.scenes.mesh_files import extent
 
 pytestmark = pytest.mark.slow

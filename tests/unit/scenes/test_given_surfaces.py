@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from services.errors import InvalidRequest
-from services.scenes.description import Floor, Scene
-from services.scenes.mesh import Mesh
-from services.scenes.resolve import canonical_json, floor_mesh, resolve, with_surface
+from scene_attack.errors import InvalidRequest
+from scene_attack.scenes.description import Floor, Scene
+from scene_attack.scenes.mesh import Mesh
+from scene_attack.scenes.resolve import canonical_json, floor_mesh, resolve, with_surface
 from tests.unit.rendering.shapes import mesh, quad, sphere
 
 CUBE = {"mesh": "primitive/cube"}
@@ -67,7 +67,7 @@ def test_a_material_of_a_file_keeps_what_is_not_given(library):
 
 
 def _with_maps() -> bytes:
-    from tests.unit.rendering.pyrender_renderer.test_gltf_materials import filled, square
+    from tests.unit.rendering.pyrender.test_gltf_materials import filled, square
 
     surface = {"metallicRoughnessTexture": filled(7, 191, 102), "baseColorTexture": filled(9, 9, 9)}
     return square({"pbrMetallicRoughness": surface, "occlusionTexture": filled(51, 0, 0)})

@@ -12,12 +12,12 @@ import pytest
 from PIL import Image
 
 from benchmarks.gltf_models import MODELS, checks, sphere
-from services.accuracy.stability.gltf_file import Writer
-from services.errors import InvalidRequest
-from services.scenes.library import Library
-from services.scenes.mesh import FIT_RADIUS, MetallicRoughness, Part
-from services.scenes.reading.formats import read_mesh
-from services.scenes.reading.normals import derive_tangents
+from scene_attack.errors import InvalidRequest
+from scene_attack.scenes.library import Library
+from scene_attack.scenes.mesh import FIT_RADIUS, MetallicRoughness, Part
+from scene_attack.scenes.reading.formats import read_mesh
+from scene_attack.scenes.reading.normals import derive_tangents
+from scene_attack_accuracy.stability.gltf_file import Writer
 from tests.unit.scenes.mesh_files import same
 
 MANY = 300_000

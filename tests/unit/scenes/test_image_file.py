@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from services.scenes.image_file import MAX_PIXELS, open_image
+from scene_attack.scenes.image_file import MAX_PIXELS, open_image
 from tests.unit.scenes.test_gltf import one, read, texture_of
 
 POSTSCRIPT = b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 8 8\n%%EndComments\nshowpage\n%%EOF\n"

@@ -10,11 +10,11 @@ import pytest
 from safetensors.numpy import load, save
 
 from benchmarks.gltf_models import MODELS
-from services.errors import InvalidRequest
-from services.scenes.mesh import Part
-from services.scenes.reading import process
-from services.scenes.reading.formats import read_mesh
-from services.scenes.reading.isolated import IsolatedReader, Report, pack, reader, unpack
+from scene_attack.errors import InvalidRequest
+from scene_attack.scenes.mesh import Part
+from scene_attack.scenes.reading import process
+from scene_attack.scenes.reading.formats import read_mesh
+from scene_attack.scenes.reading.isolated import IsolatedReader, Report, pack, reader, unpack
 from tests.processes import command_line
 from tests.unit.scenes.mesh_files import BOXES, MAX_FACES, same
 from tests.unit.scenes.test_image_file import POSTSCRIPT, stored
@@ -26,7 +26,7 @@ FILES = {kind: (kind, data) for kind, data in BOXES.items()} | {name: ("glb", ma
 
 def servers() -> list[psutil.Process]:
     """The living servers among this process's children."""
-    return [p for p in psutil.Process().children() if "services.scenes.reading.process" in command_line(p)]
+    return [p for p in psutil.Process().children() if "scene_attack.scenes.reading.process" in command_line(p)]
 
 
 def own_server() -> psutil.Process:

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from services.errors import InvalidRequest
-from services.scenes.bundle import About, Bundle
-from services.scenes.environment import average
-from services.scenes.library import Library
-from services.scenes.primitives import PRIMITIVES
+from scene_attack.errors import InvalidRequest
+from scene_attack.scenes.bundle import About, Bundle
+from scene_attack.scenes.environment import average
+from scene_attack.scenes.library import Library
+from scene_attack.scenes.primitives import PRIMITIVES
 
 TETRAHEDRON = b"OFF\n4 4 6\n0 0 0\n1 0 0\n0 1 0\n0 0 1\n3 0 2 1\n3 0 1 3\n3 0 3 2\n3 1 2 3\n"
 

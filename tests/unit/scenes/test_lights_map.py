@@ -3,12 +3,20 @@
 import numpy as np
 import pytest
 
-from services.rendering.torch_renderer.light import directions, solid_angles
-from services.scenes.description import DirectionalLight, Environment, Lights, PointLight, Scene, SceneObject, SpotLight
-from services.scenes.environment import LIGHTS_ROWS as ROWS
-from services.scenes.environment import lights_map
-from services.scenes.library import Library
-from services.scenes.resolve import resolve
+from scene_attack.rendering.torch.light import directions, solid_angles
+from scene_attack.scenes.description import (
+    DirectionalLight,
+    Environment,
+    Lights,
+    PointLight,
+    Scene,
+    SceneObject,
+    SpotLight,
+)
+from scene_attack.scenes.environment import LIGHTS_ROWS as ROWS
+from scene_attack.scenes.environment import lights_map
+from scene_attack.scenes.library import Library
+from scene_attack.scenes.resolve import resolve
 
 WAYS = directions(ROWS, 2 * ROWS).numpy()
 ANGLES = solid_angles(ROWS, 2 * ROWS).numpy()

@@ -4,10 +4,10 @@ import struct
 
 import pytest
 
-from services.errors import InvalidRequest
-from services.scenes.reading import gltf
-from services.scenes.reading.formats import KINDS, read_mesh
-from services.scenes.reading.gltf import GltfFile
+from scene_attack.errors import InvalidRequest
+from scene_attack.scenes.reading import gltf
+from scene_attack.scenes.reading.formats import KINDS, read_mesh
+from scene_attack.scenes.reading.gltf import GltfFile
 from tests.unit.scenes.mesh_files import (
     ASCII_PLY,
     ASCII_STL,

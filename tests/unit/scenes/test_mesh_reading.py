@@ -11,9 +11,9 @@ from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 from PIL import Image
 
-from services.errors import InvalidRequest
-from services.scenes.mesh import FIT_RADIUS
-from services.scenes.reading.formats import KINDS, read_mesh
+from scene_attack.errors import InvalidRequest
+from scene_attack.scenes.mesh import FIT_RADIUS
+from scene_attack.scenes.reading.formats import KINDS, read_mesh
 from tests.unit.scenes.mesh_files import (
     ASCII_PLY,
     ASCII_STL,

@@ -7,8 +7,8 @@ import pytest
 import trimesh
 from PIL import Image
 
-from services.scenes.reading import surfaces
-from services.scenes.reading.formats import read_mesh
+from scene_attack.scenes.reading import surfaces
+from scene_attack.scenes.reading.formats import read_mesh
 from tests.unit.scenes.mesh_files import ASCII_PLY, MAX_FACES, RIGHT_TRIANGLE, assert_refused, glb, split_glb, triangle
 
 

@@ -8,7 +8,7 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.scenes.reading.normals import CREASE_ANGLE, smooth_normals
+from scene_attack.scenes.reading.normals import CREASE_ANGLE, smooth_normals
 
 
 def arrays(mesh):

@@ -5,8 +5,8 @@ from math import pi
 import numpy as np
 import pytest
 
-from services.scenes.mesh import FIT_RADIUS
-from services.scenes.primitives import PRIMITIVES, primitive
+from scene_attack.scenes.mesh import FIT_RADIUS
+from scene_attack.scenes.primitives import PRIMITIVES, primitive
 
 VOLUMES = {
     "cube": 8.0,

@@ -7,11 +7,11 @@ import sys
 import numpy as np
 import pytest
 
-from services.errors import InvalidRequest
-from services.scenes.bundle import About, Bundle
-from services.scenes.description import Scene
-from services.scenes.environment import average
-from services.scenes.resolve import canonical_json, resolve
+from scene_attack.errors import InvalidRequest
+from scene_attack.scenes.bundle import About, Bundle
+from scene_attack.scenes.description import Scene
+from scene_attack.scenes.environment import average
+from scene_attack.scenes.resolve import canonical_json, resolve
 from tests.unit.scenes.test_library import TETRAHEDRON
 
 pytestmark = pytest.mark.slow
@@ -117,7 +117,7 @@ def test_ways_to_write_the_same_scene_have_the_same_digest(library):
 
 def test_the_canonical_text_is_the_same_in_another_process():
     program = (
-        "from services.scenes.description import Scene;from services.scenes.resolve import canonical_json;"
+        "from scene_attack.scenes.description import Scene;from scene_attack.scenes.resolve import canonical_json;"
         "print(canonical_json(Scene(objects=[{'mesh':'primitive/cube','translation':(0.1,-0.0,1e-9)}])))"
     )
     other = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout.strip()
@@ -127,7 +127,7 @@ def test_the_canonical_text_is_the_same_in_another_process():
 
 
 def test_the_digest_moves_with_the_contents_of_a_map(library, assets, tmp_path):
-    from services.scenes.library import Library
+    from scene_attack.scenes.library import Library
 
     (tmp_path / "environments").mkdir()
     (tmp_path / "environments" / "studio.exr").write_bytes((assets / "environments" / "city.exr").read_bytes())

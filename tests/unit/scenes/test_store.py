@@ -3,8 +3,8 @@ from pathlib import Path
 
 import numpy as np
 
-from services.scenes.mesh import Part
-from services.scenes.store import limit, load_parts, save_parts
+from scene_attack.scenes.mesh import Part
+from scene_attack.scenes.store import limit, load_parts, save_parts
 
 PART = Part(
     vertices=np.eye(3, dtype=np.float32),

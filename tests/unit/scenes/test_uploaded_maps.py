@@ -7,12 +7,12 @@ import numpy as np
 import OpenEXR
 import pytest
 
-from services.errors import InvalidRequest
-from services.scenes import environment
-from services.scenes.bundle import About, Bundle
-from services.scenes.environment import average, from_image, read_map
-from services.scenes.library import Library
-from services.scenes.reading.isolated import reader
+from scene_attack.errors import InvalidRequest
+from scene_attack.scenes import environment
+from scene_attack.scenes.bundle import About, Bundle
+from scene_attack.scenes.environment import average, from_image, read_map
+from scene_attack.scenes.library import Library
+from scene_attack.scenes.reading.isolated import reader
 from tests.unit.scenes.mesh_files import BOXES
 
 TEXELS = np.random.default_rng(3).gamma(0.5, 2.0, (8, 16, 3)).astype(np.float32)

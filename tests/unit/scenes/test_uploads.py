@@ -6,10 +6,10 @@ import json
 import numpy as np
 import pytest
 
-from services.errors import InvalidRequest, JobFailure
-from services.scenes import bundle, uploads
-from services.scenes.library import Library
-from services.settings import Settings
+from scene_attack.errors import InvalidRequest, JobFailure
+from scene_attack.scenes import bundle, uploads
+from scene_attack.scenes.library import Library
+from scene_attack_service.settings import Settings
 from tests.unit.scenes.mesh_files import ASCII_STL, BOXES
 
 pytestmark = pytest.mark.slow

@@ -8,10 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from services.scenes.description import Camera, SceneObject
-from services.scenes.mesh import FIT_RADIUS, Mesh, Part
-from services.scenes.primitives import primitive
-from services.scenes.view import NEAR, camera_to_world, model_matrix, projection, rotation_matrix, visible_area
+from scene_attack.scenes.description import Camera, SceneObject
+from scene_attack.scenes.mesh import FIT_RADIUS, Mesh, Part
+from scene_attack.scenes.primitives import primitive
+from scene_attack.scenes.view import NEAR, camera_to_world, model_matrix, projection, rotation_matrix, visible_area
 
 SIZE = (200, 300)
 

@@ -2,9 +2,9 @@ import hashlib
 
 import pytest
 
-from services.errors import InvalidRequest
-from services.targets.download import ATTEMPTS, fetch
-from services.targets.info import Published
+from scene_attack.errors import InvalidRequest
+from scene_attack.targets.download import ATTEMPTS, fetch
+from scene_attack.targets.info import Published
 
 pytestmark = pytest.mark.slow
 

@@ -7,10 +7,10 @@ import warnings
 import pytest
 import torch
 
-from services.targets import registry
-from services.targets.classifier import Classifier
-from services.targets.labels import imagenet_labels
-from services.targets.protocol import Target
+from scene_attack.targets import registry
+from scene_attack.targets.classifier import Classifier
+from scene_attack.targets.labels import imagenet_labels
+from scene_attack.targets.protocol import Target
 
 pytestmark = pytest.mark.slow
 
@@ -107,7 +107,7 @@ def test_labels_are_the_thousand(target: Classifier) -> None:
 def test_loading_and_a_gradient_import_no_symbolic_algebra() -> None:
     """torch imports sympy for the gradient of anything but a scalar: 30 MiB and half a second of every job."""
     code = (
-        "import sys, torch; from services.targets import registry\n"
+        "import sys, torch; from scene_attack.targets import registry\n"
         "image = torch.zeros(1, 224, 224, 3, requires_grad=True)\n"
         "torch.autograd.grad(registry.load('efficientnet-lite0').logits(image).sum(), image)\n"
         "sys.exit('sympy' if 'sympy' in sys.modules else 0)"

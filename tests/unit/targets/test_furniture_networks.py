@@ -6,19 +6,19 @@ from dataclasses import replace
 import pytest
 import torch
 
-from services.rendering.factory import build
-from services.scenes.description import Scene, SceneObject
-from services.scenes.furniture import PREFIX, kind_of
-from services.scenes.library import Library
-from services.scenes.resolve import resolve
-from services.settings import Settings
-from services.targets import registry
-from services.targets.architectures import fill_by_name
-from services.targets.classifier import Classifier
-from services.targets.image_networks import facts
-from services.targets.info import available, shipped
-from services.targets.networks import AlexNet, ResNet
-from services.targets.weights_file import read
+from scene_attack.rendering.factory import build
+from scene_attack.scenes.description import Scene, SceneObject
+from scene_attack.scenes.furniture import PREFIX, kind_of
+from scene_attack.scenes.library import Library
+from scene_attack.scenes.resolve import resolve
+from scene_attack.targets import registry
+from scene_attack.targets.architectures import fill_by_name
+from scene_attack.targets.classifier import Classifier
+from scene_attack.targets.image_networks import facts
+from scene_attack.targets.info import available, shipped
+from scene_attack.targets.networks import AlexNet, ResNet
+from scene_attack.targets.weights_file import read
+from scene_attack_service.settings import Settings
 from training.split import committed
 
 WEIGHTS = shipped("")

@@ -9,9 +9,9 @@ import pytest
 import torch
 from torch import nn
 
-from services.process import replaced
-from services.targets.image_networks import RESNET34, load_published
-from services.targets.labels import imagenet_labels
+from scene_attack.process import replaced
+from scene_attack.targets.image_networks import RESNET34, load_published
+from scene_attack.targets.labels import imagenet_labels
 
 
 def _network() -> nn.Module:

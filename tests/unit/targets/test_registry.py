@@ -8,11 +8,11 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from services.errors import InvalidRequest, JobFailure
-from services.targets import registry
-from services.targets.classifier import Classifier
-from services.targets.info import LONGEST_LABEL, TARGETS, TargetInfo, register
-from services.targets.protocol import Target
+from scene_attack.errors import InvalidRequest, JobFailure
+from scene_attack.targets import registry
+from scene_attack.targets.classifier import Classifier
+from scene_attack.targets.info import LONGEST_LABEL, TARGETS, TargetInfo, register
+from scene_attack.targets.protocol import Target
 
 LABELS = ("red", "green", "blue")
 SIZE = (8, 8)

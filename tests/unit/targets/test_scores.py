@@ -3,7 +3,7 @@ import math
 import pytest
 import torch
 
-from services.targets.scores import advantage, log_odds, probability
+from scene_attack.targets.scores import advantage, log_odds, probability
 
 
 @pytest.mark.parametrize("margin", [0.0, 5.0, 20.0, 90.0, 1000.0])

@@ -1,10 +1,10 @@
 """The table of truths names models and kinds that the library has, and labels that ImageNet has."""
 
-from services.scenes.furniture import PREFIX, kinds
-from services.scenes.library import Library
-from services.settings import Settings
-from services.targets.labels import imagenet_labels, imagenet_table, same_labels, truth_labels
-from services.targets.registry import card
+from scene_attack.scenes.furniture import PREFIX, kinds
+from scene_attack.scenes.library import Library
+from scene_attack.targets.labels import imagenet_labels, imagenet_table, same_labels, truth_labels
+from scene_attack.targets.registry import card
+from scene_attack_service.settings import Settings
 
 IMAGENET = card("efficientnet-lite0")
 

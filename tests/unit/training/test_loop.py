@@ -5,7 +5,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from services.errors import InvalidRequest
+from scene_attack.errors import InvalidRequest
 from training.loop import Report, Schedule, TrainingLoop
 
 SCHEDULE = Schedule(steps=60, rate=0.05, decay=0.01)

@@ -6,8 +6,8 @@ from itertools import chain
 import numpy as np
 import torch
 
-from services.scenes.furniture import PREFIX, Model, kind_of
-from services.scenes.primitives import primitive
+from scene_attack.scenes.furniture import PREFIX, Model, kind_of
+from scene_attack.scenes.primitives import primitive
 from training.split import (
     AT_MOST,
     CLASSES,

@@ -3,9 +3,9 @@ from dataclasses import replace
 import pytest
 import torch
 
-from services.errors import InvalidRequest
-from services.targets.architectures import fill_by_name
-from services.targets.weights_file import dequantize, quantize
+from scene_attack.errors import InvalidRequest
+from scene_attack.targets.architectures import fill_by_name
+from scene_attack.targets.weights_file import dequantize, quantize
 from training.batches import shade
 from training.export import ARCHITECTURES
 from training.training import RECIPES, Budget, TrainableAlexNet, Training, gather, load_trained, weights

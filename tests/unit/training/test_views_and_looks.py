@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from services.rendering.factory import build
-from services.scenes.description import ELEVATION, Camera, Environment, Lights, Scene, SceneObject
-from services.scenes.resolve import resolve
+from scene_attack.rendering.factory import build
+from scene_attack.scenes.description import ELEVATION, Camera, Environment, Lights, Scene, SceneObject
+from scene_attack.scenes.resolve import resolve
 from training.batches import augmented, plain, shade
 from training.looks import default_lamp, default_looks, environment_look, lamps_look, looks
 from training.views import GRID, node_normals, nodes, paper_cameras, training_cameras, views

@@ -3,8 +3,8 @@
 import os
 import signal
 
-from services.jobs.processes import connect, reply, requests
-from services.settings import Settings
+from scene_attack_service.jobs.processes import connect, reply, requests
+from scene_attack_service.settings import Settings
 
 if __name__ == "__main__":
     connection = connect()

@@ -6,17 +6,17 @@ from typing import Any
 
 import pytest
 
-from services.blobs import blobs
-from services.jobs import files
-from services.jobs.database import connect, migrate
-from services.jobs.files import ArtifactStore
-from services.jobs.models import Job, State
-from services.jobs.record import Record
-from services.pipeline.execute import Progress
-from services.settings import Settings
+from scene_attack.blobs import blobs
+from scene_attack.runs.execute import Progress
+from scene_attack_service.jobs import files
+from scene_attack_service.jobs.database import connect, migrate
+from scene_attack_service.jobs.files import ArtifactStore
+from scene_attack_service.jobs.models import Job, State
+from scene_attack_service.jobs.record import Record
+from scene_attack_service.settings import Settings
+from scene_attack_worker.job_process import Jobs, Reporter
 from tests.unit.jobs import small
 from tests.unit.jobs.records import add, row, start
-from worker.job_process import Jobs, Reporter
 
 pytestmark = pytest.mark.slow
 
@@ -55,8 +55,9 @@ def test_another_machine_goes_on_from_the_checkpoint_of_a_dead_one(
     engine = connect(first)
     migrate(engine, first)
     record, store, copies = Record(engine), ArtifactStore(s3_url), blobs(s3_url, "checkpoints")
-    monkeypatch.setattr("worker.job_process.connect_database", lambda _: engine)  # so that the test can close it
-    monkeypatch.setattr("services.attacks.run.CHECKPOINT_SECONDS", -1.0)  # after every step
+    # so that the test can close it
+    monkeypatch.setattr("scene_attack_worker.job_process.connect_database", lambda _: engine)
+    monkeypatch.setattr("scene_attack.attacks.run.CHECKPOINT_SECONDS", -1.0)  # after every step
     monkeypatch.setattr(files, "COPY_SECONDS", 0.005)
 
     undisturbed = add(record, SPEC)

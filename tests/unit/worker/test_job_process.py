@@ -5,17 +5,17 @@ from pathlib import Path
 import pytest
 import torch
 
-from services.attacks.trace import TraceRow
-from services.errors import InvalidRequest, JobFailure
-from services.jobs.database import connect, migrate
-from services.jobs.models import State
-from services.jobs.record import Record
-from services.pipeline.execute import Progress
-from services.pipeline.spec import JobSpec, digest
-from services.settings import Settings
+from scene_attack.attacks.trace import TraceRow
+from scene_attack.errors import InvalidRequest, JobFailure
+from scene_attack.runs.execute import Progress
+from scene_attack.runs.spec import JobSpec, digest
+from scene_attack_service.jobs.database import connect, migrate
+from scene_attack_service.jobs.models import State
+from scene_attack_service.jobs.record import Record
+from scene_attack_service.settings import Settings
+from scene_attack_worker.job_process import POLL_SECONDS, REPORT_SECONDS, Jobs, Reporter, classify
 from tests.unit.jobs import small
 from tests.unit.jobs.records import add, row, start
-from worker.job_process import POLL_SECONDS, REPORT_SECONDS, Jobs, Reporter, classify
 
 ROW = {
     "loss": 0.5,

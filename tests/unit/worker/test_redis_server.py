@@ -3,9 +3,9 @@ from pathlib import Path
 
 import pytest
 
-from services.errors import JobFailure
-from worker import stack
-from worker.stack import EmbeddedRedis, find_server, remove_abandoned
+from scene_attack.errors import JobFailure
+from scene_attack_worker import stack
+from scene_attack_worker.stack import EmbeddedRedis, find_server, remove_abandoned
 
 pytestmark = pytest.mark.slow
 

@@ -9,10 +9,10 @@ import rq
 from redis import Redis
 from rq import Callback, Retry
 
-from services.jobs.queue import NOTHING, Queue, connect, queue_name
-from services.jobs.states import Priority
-from services.settings import Settings
-from worker.rq_worker import JobWorker, Runner
+from scene_attack.client.states import Priority
+from scene_attack_service.jobs.queue import NOTHING, Queue, connect, queue_name
+from scene_attack_service.settings import Settings
+from scene_attack_worker.rq_worker import JobWorker, Runner
 
 pytestmark = pytest.mark.slow
 

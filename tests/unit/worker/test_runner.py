@@ -10,16 +10,16 @@ from typing import Any
 import pytest
 from sqlalchemy.exc import InternalError
 
-from services.jobs.database import connect, migrate
-from services.jobs.leases import Attempt, Standing
-from services.jobs.models import Job, State
-from services.jobs.processes import Child
-from services.jobs.record import Record
-from services.jobs.states import Priority
-from services.settings import Settings
+from scene_attack.client.states import Priority
+from scene_attack_service.jobs.database import connect, migrate
+from scene_attack_service.jobs.leases import Attempt, Standing
+from scene_attack_service.jobs.models import Job, State
+from scene_attack_service.jobs.processes import Child
+from scene_attack_service.jobs.record import Record
+from scene_attack_service.settings import Settings
+from scene_attack_worker import rq_worker
+from scene_attack_worker.rq_worker import Runner
 from tests.unit.jobs.records import add, start
-from worker import rq_worker
-from worker.rq_worker import Runner
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("children_of_tests")]
 

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from services.errors import InvalidRequest
-from worker.stack import LOCK_FILE, ServiceLock
+from scene_attack.errors import InvalidRequest
+from scene_attack_worker.stack import LOCK_FILE, ServiceLock
 
 
 def test_one_at_a_time_holds_it(tmp_path: Path) -> None:

@@ -8,8 +8,8 @@ from pathlib import Path
 import psutil
 import pytest
 
-from worker import supervisor as module
-from worker.supervisor import Program, Supervisor
+from scene_attack_worker import supervisor as module
+from scene_attack_worker.supervisor import Program, Supervisor
 
 pytestmark = pytest.mark.slow
 
@@ -108,7 +108,7 @@ def test_what_hangs_is_killed_and_started_again(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(module, "ASK_SECONDS", 0.0)
     script = """
 import os, signal
-from services.jobs import processes
+from scene_attack_service.jobs import processes
 processes.say_alive()
 os.kill(os.getpid(), signal.SIGSTOP)
 """
@@ -166,8 +166,8 @@ def test_a_signal_ends_the_supervisor() -> None:
 
 def test_no_program_outlives_a_supervisor_that_is_killed() -> None:
     script = """
-from services.logs import configure
-from worker.supervisor import Program, Supervisor
+from scene_attack.logs import configure
+from scene_attack_worker.supervisor import Program, Supervisor
 configure("test")  # logs go to stderr
 program = Program("one", lambda: ["sleep", "600"])
 Supervisor([program], lambda: print(program.process.pid, flush=True)).run()

@@ -10,20 +10,20 @@ import torch
 from PIL import Image
 from safetensors.torch import load
 
-from services.analysis.images import pixels
-from services.attacks import run
-from services.jobs.database import connect, migrate
-from services.jobs.files import ArtifactStore
-from services.jobs.models import Artifact, Job
-from services.jobs.record import Record
-from services.pipeline.execute import Progress
-from services.pipeline.prepare import prepare
-from services.pipeline.result import BEST_SO_FAR, CHECKPOINT
-from services.settings import Settings
+from scene_attack.analysis.images import pixels
+from scene_attack.attacks import run
+from scene_attack.runs.execute import Progress
+from scene_attack.runs.prepare import prepare
+from scene_attack.runs.result import BEST_SO_FAR, CHECKPOINT
+from scene_attack_service.jobs.database import connect, migrate
+from scene_attack_service.jobs.files import ArtifactStore
+from scene_attack_service.jobs.models import Artifact, Job
+from scene_attack_service.jobs.record import Record
+from scene_attack_service.settings import Settings
+from scene_attack_worker import job_process
+from scene_attack_worker.job_process import Jobs
 from tests.unit.jobs import small
 from tests.unit.jobs.records import add, row, start
-from worker import job_process
-from worker.job_process import Jobs
 
 pytestmark = pytest.mark.slow
 

@@ -7,7 +7,7 @@ import torch
 
 from benchmarks.study.recording import fooled_first
 from benchmarks.study.tables import group
-from services.questions.program import FUNCTIONS
+from scene_attack_questions.program import FUNCTIONS
 from tests.unit.targets.iep.seeded import program
 
 pytestmark = pytest.mark.slow

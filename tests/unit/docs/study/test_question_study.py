@@ -10,14 +10,14 @@ from benchmarks.study import tables
 from benchmarks.study.pages import VQA
 from benchmarks.study.record import Asked, Record, load, save
 from benchmarks.study.recording import of_folder
-from services.pipeline.campaign_plan import write
-from services.pipeline.campaign_run import run_campaign
-from services.pipeline.campaign_spec import parse
-from services.questions.executor import Facts, answer
+from scene_attack.runs.campaign_plan import write
+from scene_attack.runs.campaign_run import run_campaign
+from scene_attack.runs.campaign_spec import parse
+from scene_attack_questions.executor import Facts, answer
 from tests.unit.docs.study.test_study_page import row
 from tests.unit.docs.study.test_study_records import SMALL, job
 from tests.unit.jobs.small import LIBRARY
-from tests.unit.pipeline.question_campaign import GRIDS, answering, asked, commonest, right_at_times
+from tests.unit.runs.question_campaign import GRIDS, answering, asked, commonest, right_at_times
 
 pytestmark = pytest.mark.slow
 

@@ -9,7 +9,7 @@ import pytest
 from benchmarks.study import equal_p, tables
 from benchmarks.study.pages import CLASSIFICATION
 from benchmarks.study.record import load
-from services.pipeline.campaign_spec import parse
+from scene_attack.runs.campaign_spec import parse
 from tests.unit.docs.study.test_study_records import SMALL, job, raw, won
 
 PAGE, files = CLASSIFICATION.name, CLASSIFICATION.files

@@ -11,9 +11,9 @@ from benchmarks.study.examples import median_success
 from benchmarks.study.pages import FOLDER, NAMES
 from benchmarks.study.record import Job, Record, load, save
 from benchmarks.study.recording import of_folder
-from services.pipeline.campaign_plan import views, write
-from services.pipeline.campaign_run import first_answer, run_campaign
-from services.pipeline.campaign_spec import parse
+from scene_attack.runs.campaign_plan import views, write
+from scene_attack.runs.campaign_run import first_answer, run_campaign
+from scene_attack.runs.campaign_spec import parse
 from tests.unit.jobs.small import LIBRARY
 
 pytestmark = pytest.mark.slow

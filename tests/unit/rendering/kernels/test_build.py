@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 import torch
 
-from services.errors import InvalidRequest, JobFailure
-from services.process import replaced
-from services.rendering.kernels import build, compiled
-from services.rendering.torch_renderer import table
+from scene_attack.errors import InvalidRequest, JobFailure
+from scene_attack.process import replaced
+from scene_attack.rendering.kernels import build, compiled
+from scene_attack.rendering.torch import table
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(shutil.which("g++") is None, reason="no C++ compiler")]
 

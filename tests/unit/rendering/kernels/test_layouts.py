@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from services.rendering.kernels import build, compiled
+from scene_attack.rendering.kernels import build, compiled
 
 pytestmark = pytest.mark.slow
 

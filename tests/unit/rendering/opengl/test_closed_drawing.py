@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from services.rendering.opengl import context
-from services.scenes.library import Library
+from scene_attack.rendering.opengl import context
+from scene_attack.scenes.library import Library
 
 
 @pytest.fixture
@@ -15,7 +15,7 @@ def library(tmp_path: Path) -> Library:
 
 def test_the_same_meshes_are_prepared_once_and_other_meshes_never_take_their_place(library: Library) -> None:
     context.current()
-    from services.rendering.opengl.mesh_upload import closed_drawing
+    from scene_attack.rendering.opengl.mesh_upload import closed_drawing
 
     sphere, cube = library.mesh("primitive/sphere"), library.mesh("primitive/cube")
     first = closed_drawing((sphere, cube))

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import torch
 
-from services.errors import JobFailure
-from services.process import replaced
-from services.rendering.opengl import context
-from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
+from scene_attack.errors import JobFailure
+from scene_attack.process import replaced
+from scene_attack.rendering.opengl import context
+from scene_attack.rendering.pyrender.renderer import PyrenderRenderer
 from tests.unit.rendering.shapes import PLATFORMS, mesh, on_platform, placed, quad, scene
 
 pytestmark = pytest.mark.slow
@@ -55,7 +55,7 @@ def test_egl_on_demand_says_what_to_install_where_it_does_not_draw(fresh: pytest
 
 
 def test_a_platform_that_fails_says_what_to_install() -> None:
-    code = "import os; os.environ['EGL_DEVICE_ID'] = '99'\nfrom services.rendering.opengl import context\n"
+    code = "import os; os.environ['EGL_DEVICE_ID'] = '99'\nfrom scene_attack.rendering.opengl import context\n"
     code += "try: context.current()\nexcept Exception as error: print(type(error).__name__, error)"
     answer = on_platform("egl", code)
     assert answer.startswith("JobFailure internal: cannot draw with egl")
@@ -114,8 +114,8 @@ def test_values_survive_beyond_one_and_below_half_a_step_of_eight_bits() -> None
 _IMAGES = """
 import sys
 import numpy as np
-from services.rendering.opengl.gbuffer import rasterise
-from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
+from scene_attack.rendering.opengl.gbuffer import rasterise
+from scene_attack.rendering.pyrender.renderer import PyrenderRenderer
 from tests.unit.rendering import shapes
 
 scene = shapes.placed(shapes.scene((96, 128), 2, azimuth=0.5, elevation=0.4), shapes.six_parts(),
@@ -142,8 +142,8 @@ def test_egl_and_osmesa_agree(tmp_path) -> None:
 _MEMORY = """
 import ctypes, json, sys
 import numpy as np, torch
-from services.rendering.opengl import context
-from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
+from scene_attack.rendering.opengl import context
+from scene_attack.rendering.pyrender.renderer import PyrenderRenderer
 from tests.unit.rendering import shapes
 
 def resident():

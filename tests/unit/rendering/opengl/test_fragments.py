@@ -5,11 +5,11 @@ from math import cos, radians, sin
 import pytest
 import torch
 
-from services.rendering.opengl.gbuffer import SURFACES, fragments, rasterise
-from services.scenes.description import Scene
-from services.scenes.library import Library
-from services.scenes.resolve import resolve
-from services.settings import Settings
+from scene_attack.rendering.opengl.gbuffer import SURFACES, fragments, rasterise
+from scene_attack.scenes.description import Scene
+from scene_attack.scenes.library import Library
+from scene_attack.scenes.resolve import resolve
+from scene_attack_service.settings import Settings
 
 UP, SIDE = (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 

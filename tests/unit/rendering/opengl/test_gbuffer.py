@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import torch
 
-from services.errors import InvalidRequest
-from services.rendering.opengl import gbuffer
-from services.rendering.opengl.gbuffer import FACTOR, rasterise
-from services.scenes.description import Scene
+from scene_attack.errors import InvalidRequest
+from scene_attack.rendering.opengl import gbuffer
+from scene_attack.rendering.opengl.gbuffer import FACTOR, rasterise
+from scene_attack.scenes.description import Scene
 from tests.unit.rendering import shapes
 from tests.unit.rendering.shapes import disk, mesh, placed, quad, scene, sphere
 

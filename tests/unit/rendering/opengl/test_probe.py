@@ -10,9 +10,9 @@ pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).parents[4]
 _START = """
-from services.process import use
-from services.rendering.opengl import context
-from services.settings import Settings
+from scene_attack.process import use
+from scene_attack.rendering.opengl import context
+from scene_attack_service.settings import Settings
 use(Settings())
 run = context.subprocess.run
 probes = []

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 import torch
 
-from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
-from services.scenes.description import GROUND
+from scene_attack.rendering.pyrender.renderer import PyrenderRenderer
+from scene_attack.scenes.description import GROUND
 from tests.unit.rendering.shapes import mesh, placed, quad, scene, six_parts, sphere
 
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from services.rendering.opengl.camera import CameraMatrices, RenderPass
-from services.rendering.opengl.shadows import (
+from scene_attack.rendering.opengl.camera import CameraMatrices, RenderPass
+from scene_attack.rendering.opengl.shadows import (
     GRID,
     MAX_PASS_BYTES,
     PARALLEL,
@@ -17,7 +17,7 @@ from services.rendering.opengl.shadows import (
     rounded_box,
     shadow_views,
 )
-from services.scenes.description import Lights, PointLight, Scene, SceneObject, Shadows
+from scene_attack.scenes.description import Lights, PointLight, Scene, SceneObject, Shadows
 
 BOX = np.array([np.where([k & 1, k & 2, k & 4], (0.5, 0.4, 0.3), (-0.2, 0.1, -0.3)) for k in range(8)])
 """Corners of a box, as `box_corners` orders them."""

@@ -5,10 +5,10 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from services.rendering.opengl import context
-from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
-from services.scenes.mesh import Mesh, Part
-from services.scenes.solids import outsides
+from scene_attack.rendering.opengl import context
+from scene_attack.rendering.pyrender.renderer import PyrenderRenderer
+from scene_attack.scenes.mesh import Mesh, Part
+from scene_attack.scenes.solids import outsides
 from tests.unit.rendering.shapes import disk, mesh, part, placed, quad, scene, six_parts, sphere
 
 

@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from services.errors import InvalidRequest
-from services.scenes.clevr import description
-from services.scenes.clevr.description import (
+from scene_attack.errors import InvalidRequest
+from scene_attack.scenes.description import Scene
+from scene_attack.scenes.primitives import primitive
+from scene_attack.scenes.view import camera_to_world, model_matrix
+from scene_attack_questions.clevr import description
+from scene_attack_questions.clevr.description import (
     Generate,
     describe,
     nearest_color,
@@ -20,11 +23,8 @@ from services.scenes.clevr.description import (
     rig_of,
     scene_of,
 )
-from services.scenes.clevr.generator import generate
-from services.scenes.clevr.records import RGB, CameraRecord, Rig, SceneRecord, relationships
-from services.scenes.description import Scene
-from services.scenes.primitives import primitive
-from services.scenes.view import camera_to_world, model_matrix
+from scene_attack_questions.clevr.generator import generate
+from scene_attack_questions.clevr.records import RGB, CameraRecord, Rig, SceneRecord, relationships
 
 SCENES = [generate(5, k) for k in range(12)]
 
@@ -140,8 +140,8 @@ def test_a_generated_scene_is_that_of_the_generator() -> None:
 
 
 def test_more_than_fit_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("services.scenes.clevr.generator.REACH", 0.5)  # a plane on which no three fit
-    monkeypatch.setattr("services.scenes.clevr.generator.RESTARTS", 3)
+    monkeypatch.setattr("scene_attack_questions.clevr.generator.REACH", 0.5)  # a plane on which no three fit
+    monkeypatch.setattr("scene_attack_questions.clevr.generator.RESTARTS", 3)
     with pytest.raises(InvalidRequest, match="do not fit") as refused:
         Generate(objects=9).record()
     assert refused.value.field == "generate.objects"

@@ -8,19 +8,12 @@ import numpy as np
 import pytest
 from scipy.ndimage import binary_dilation
 
-from services.errors import InvalidRequest
-from services.rendering.opengl.gbuffer import rasterise
-from services.scenes.clevr.description import describe
-from services.scenes.clevr.generator import (
-    MIN_PIXELS,
-    check,
-    generate,
-    object_numbers,
-    overlap,
-    visible_pixels,
-)
-from services.scenes.clevr.records import ATTRIBUTES, RADIUS, ObjectRecord, Rig, Vector, half_height
-from services.scenes.primitives import primitive
+from scene_attack.errors import InvalidRequest
+from scene_attack.rendering.opengl.gbuffer import rasterise
+from scene_attack.scenes.primitives import primitive
+from scene_attack_questions.clevr.description import describe
+from scene_attack_questions.clevr.generator import MIN_PIXELS, check, generate, object_numbers, overlap, visible_pixels
+from scene_attack_questions.clevr.records import ATTRIBUTES, RADIUS, ObjectRecord, Rig, Vector, half_height
 from tests.unit.rendering.shapes import placed
 
 SCENES = [generate(7, k, split="test") for k in range(120)]
@@ -84,14 +77,14 @@ def test_camera_and_lights_are_jittered_within_their_bounds() -> None:
 
 
 def test_more_objects_than_fit_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("services.scenes.clevr.generator.RESTARTS", 3)
+    monkeypatch.setattr("scene_attack_questions.clevr.generator.RESTARTS", 3)
     with pytest.raises(InvalidRequest, match="40 objects do not fit"):
         generate(0, 0, objects=(40, 40))
 
 
 def test_hidden_objects_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("services.scenes.clevr.generator.MIN_PIXELS", 100_000)
-    monkeypatch.setattr("services.scenes.clevr.generator.DISCARDS", 3)
+    monkeypatch.setattr("scene_attack_questions.clevr.generator.MIN_PIXELS", 100_000)
+    monkeypatch.setattr("scene_attack_questions.clevr.generator.DISCARDS", 3)
     with pytest.raises(InvalidRequest, match="cannot all be seen"):
         generate(0, 0)
 

@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from services.errors import InvalidRequest
-from services.scenes.clevr.description import describe
-from services.scenes.clevr.generator import generate
-from services.scenes.clevr.records import Info, SceneFile, relationships
-from services.scenes.view import camera_to_world, projection
+from scene_attack.errors import InvalidRequest
+from scene_attack.scenes.view import camera_to_world, projection
+from scene_attack_questions.clevr.description import describe
+from scene_attack_questions.clevr.generator import generate
+from scene_attack_questions.clevr.records import Info, SceneFile, relationships
 
 OFFICIAL = {
     "info": {

@@ -3,10 +3,10 @@ from pathlib import Path
 
 import pytest
 
-from services.pipeline.extensions import TargetFolder, register_folders
-from services.settings import Settings
-from services.targets.architectures import register_architecture
-from services.targets.custom.card import AllowList
+from scene_attack.runs.extensions import TargetFolder, register_folders
+from scene_attack.targets.architectures import register_architecture
+from scene_attack.targets.custom.card import AllowList
+from scene_attack_service.settings import Settings
 from tests.unit.targets.custom.registries import restored
 from tests.unit.targets.custom.small_network import SmallNetwork
 

@@ -5,9 +5,9 @@ from contextlib import contextmanager
 
 import pytest
 
-from services.targets import registry
-from services.targets.architectures import ARCHITECTURES
-from services.targets.info import TARGETS, UNAVAILABLE
+from scene_attack.targets import registry
+from scene_attack.targets.architectures import ARCHITECTURES
+from scene_attack.targets.info import TARGETS, UNAVAILABLE
 
 
 @contextmanager

@@ -14,13 +14,13 @@ import pytest
 import torch
 from PIL import Image
 
-from services.errors import InvalidRequest, JobFailure, Unreadable
-from services.pipeline.execute import execute
-from services.pipeline.prepare import prepare
-from services.pipeline.spec import parse
-from services.targets import registry
-from services.targets.custom.card import AllowList
-from services.targets.custom.endpoint import MOST_IMAGES, Endpoint
+from scene_attack.errors import InvalidRequest, JobFailure, Unreadable
+from scene_attack.runs.execute import execute
+from scene_attack.runs.prepare import prepare
+from scene_attack.runs.spec import parse
+from scene_attack.targets import registry
+from scene_attack.targets.custom.card import AllowList
+from scene_attack.targets.custom.endpoint import MOST_IMAGES, Endpoint
 from tests.unit.jobs.small import LIBRARY
 from tests.unit.targets.custom.conftest import Scan
 from tests.unit.targets.custom.small_network import folder

@@ -12,8 +12,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from services.errors import Unreadable
-from services.targets.custom import exported
+from scene_attack.errors import Unreadable
+from scene_attack.targets.custom import exported
 from tests.unit.targets.custom.small_network import SIZE, save_pt2
 
 pytestmark = pytest.mark.slow

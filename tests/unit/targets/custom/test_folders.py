@@ -12,10 +12,10 @@ import torch
 from onnx import TensorProto, helper
 from torch import Tensor, nn
 
-from services.errors import InvalidRequest
-from services.pipeline.prepare import prepare
-from services.pipeline.spec import parse
-from services.targets.info import TARGETS
+from scene_attack.errors import InvalidRequest
+from scene_attack.runs.prepare import prepare
+from scene_attack.runs.spec import parse
+from scene_attack.targets.info import TARGETS
 from tests.unit.jobs.small import LIBRARY
 from tests.unit.targets.custom import small_network
 from tests.unit.targets.custom.conftest import Scan

@@ -9,15 +9,15 @@ from safetensors.torch import load_file
 from torch import Tensor
 from torch.nn import functional as F
 
-from client import attack, images
-from services.errors import InvalidRequest
-from services.pipeline.execute import execute
-from services.pipeline.prepare import prepare
-from services.pipeline.result import Result
-from services.pipeline.spec import parse
-from services.pipeline.target_check import check
-from services.targets import registry
-from services.targets.info import TARGETS
+from scene_attack import attack, images
+from scene_attack.errors import InvalidRequest
+from scene_attack.runs.execute import execute
+from scene_attack.runs.prepare import prepare
+from scene_attack.runs.result import Result
+from scene_attack.runs.spec import parse
+from scene_attack.runs.target_check import check
+from scene_attack.targets import registry
+from scene_attack.targets.info import TARGETS
 from tests.unit.jobs.small import LIBRARY
 from tests.unit.targets.custom import small_network
 from tests.unit.targets.custom.conftest import Scan

@@ -10,8 +10,8 @@ import pytest
 import torch
 from onnx import TensorProto, helper, numpy_helper
 
-from services.errors import Unreadable
-from services.targets.custom import onnx_file
+from scene_attack.errors import Unreadable
+from scene_attack.targets.custom import onnx_file
 
 OPSET = 20
 RANDOM = np.random.default_rng(1)

@@ -5,14 +5,14 @@ from functools import cache
 import torch
 from torch.nn import functional as F
 
-from services.questions.executor import ANSWERS
-from services.questions.program import Node, Program
-from services.questions.text import encoded
-from services.targets.iep.card import CARD
-from services.targets.iep.checkpoint import Checkpoint
-from services.targets.iep.engine import Network
-from services.targets.iep.program_generator import TOKENS, ProgramGenerator, to_prefix
-from services.targets.iep.target import IepTarget
+from scene_attack.targets.iep.card import CARD
+from scene_attack.targets.iep.checkpoint import Checkpoint
+from scene_attack.targets.iep.engine import Network
+from scene_attack.targets.iep.program_generator import TOKENS, ProgramGenerator, to_prefix
+from scene_attack.targets.iep.target import IepTarget
+from scene_attack_questions.executor import ANSWERS
+from scene_attack_questions.program import Node, Program
+from scene_attack_questions.text import encoded
 
 N_STEPS = 60
 

@@ -1,7 +1,7 @@
 import pytest
 
-from services.questions.program import InvalidProgram
-from services.targets.iep.assembly import COMPARING, JOINING, KINDS, MAPPING, READING, Question, assemble
+from scene_attack.targets.iep.assembly import COMPARING, JOINING, KINDS, MAPPING, READING, Question, assemble
+from scene_attack_questions.program import InvalidProgram
 from tests.unit.targets.iep.seeded import program
 
 pytestmark = pytest.mark.slow

@@ -6,9 +6,9 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from services.questions.program import Program
-from services.targets.iep.assembly import COMPARING, JOINING, MAPPING, READING, Question, assemble
-from services.targets.iep.engine import N_CELLS, Engine
+from scene_attack.targets.iep.assembly import COMPARING, JOINING, MAPPING, READING, Question, assemble
+from scene_attack.targets.iep.engine import N_CELLS, Engine
+from scene_attack_questions.program import Program
 from tests.unit.targets.iep import seeded, world
 
 pytestmark = pytest.mark.slow

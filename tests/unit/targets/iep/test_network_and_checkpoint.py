@@ -4,10 +4,10 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
-from services.targets.iep.assembly import Question, assemble
-from services.targets.iep.checkpoint import MAX_BYTES, load, to_bytes
-from services.targets.iep.engine import CHANNELS, Network, Trunk
-from services.targets.iep.program_generator import ProgramGenerator
+from scene_attack.targets.iep.assembly import Question, assemble
+from scene_attack.targets.iep.checkpoint import MAX_BYTES, load, to_bytes
+from scene_attack.targets.iep.engine import CHANNELS, Network, Trunk
+from scene_attack.targets.iep.program_generator import ProgramGenerator
 from tests.unit.targets.iep.seeded import program
 
 ASSEMBLY = assemble([Question(program("scene", "filter_size 0 large", "count 1"))])

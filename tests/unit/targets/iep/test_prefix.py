@@ -2,8 +2,8 @@ from random import Random
 
 import pytest
 
-from services.questions.program import InvalidProgram
-from services.targets.iep.program_generator import TOKENS, from_prefix, to_prefix
+from scene_attack.targets.iep.program_generator import TOKENS, from_prefix, to_prefix
+from scene_attack_questions.program import InvalidProgram
 from tests.unit.targets.iep import world
 
 COMPARED = [

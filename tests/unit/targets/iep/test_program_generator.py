@@ -1,10 +1,10 @@
 import pytest
 import torch
 
-from services.errors import InvalidRequest
-from services.questions.program import InvalidProgram, Program
-from services.questions.text import UnknownWord, encoded
-from services.targets.iep.program_generator import TOKENS, ProgramGenerator
+from scene_attack.errors import InvalidRequest
+from scene_attack.targets.iep.program_generator import TOKENS, ProgramGenerator
+from scene_attack_questions.program import InvalidProgram, Program
+from scene_attack_questions.text import UnknownWord, encoded
 
 QUESTIONS = ("How many cubes are there?", "red?", "Are there any other red things that are big?")
 

@@ -4,16 +4,16 @@ import pytest
 import torch
 from torch.nn import functional as F
 
-from services.errors import InvalidRequest
-from services.questions.executor import ANSWERS
-from services.questions.program import InvalidProgram, program_in, written
-from services.questions.text import UnknownWord
-from services.targets import registry
-from services.targets.iep.assembly import Question, assemble
-from services.targets.iep.card import CARD
-from services.targets.iep.checkpoint import Checkpoint, load, to_bytes
-from services.targets.iep.program_generator import TOKENS, ProgramGenerator
-from services.targets.iep.target import IepTarget, read
+from scene_attack.errors import InvalidRequest
+from scene_attack.targets import registry
+from scene_attack.targets.iep.assembly import Question, assemble
+from scene_attack.targets.iep.card import CARD
+from scene_attack.targets.iep.checkpoint import Checkpoint, load, to_bytes
+from scene_attack.targets.iep.program_generator import TOKENS, ProgramGenerator
+from scene_attack.targets.iep.target import IepTarget, read
+from scene_attack_questions.executor import ANSWERS
+from scene_attack_questions.program import InvalidProgram, program_in, written
+from scene_attack_questions.text import UnknownWord
 from tests.unit.targets.iep.seeded import COUNT, INFO, SAME, TAUGHT, generator, network, program, target
 
 pytestmark = pytest.mark.slow

@@ -11,7 +11,7 @@ from random import Random
 import torch
 from torch import Tensor
 
-from services.questions.program import Node, Program
+from scene_attack_questions.program import Node, Program
 
 SHAPES, SIZES = ("cube", "sphere", "cylinder"), ("small", "large")
 COLORS = ("gray", "red", "blue", "green", "brown", "purple", "cyan", "yellow")

@@ -10,10 +10,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from services.questions.program import Node
-from services.questions.text import WORDS
-from services.scenes.library import Library
-from services.targets.iep.program_generator import TOKENS
+from scene_attack.scenes.library import Library
+from scene_attack.targets.iep.program_generator import TOKENS
+from scene_attack_questions.program import Node
+from scene_attack_questions.text import WORDS
 from tests.unit.targets.iep import world
 from tests.unit.training.iep.small import stages
 from training.iep.examples import Example

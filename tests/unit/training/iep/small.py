@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from services.scenes.library import Library
+from scene_attack.scenes.library import Library
 from training.iep.recipe import Recipe
 from training.iep.stages import Stages
 from training.loop import Schedule

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 from typer.testing import CliRunner
 
-from services.errors import InvalidRequest
+from scene_attack.errors import InvalidRequest
 from tests.unit.training.iep.small import RECIPE, SEED
 from training import __main__
 from training.__main__ import app

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from services.questions.executor import Facts, answer
-from services.scenes.clevr.generator import generate
-from services.scenes.library import Library
+from scene_attack.scenes.library import Library
+from scene_attack_questions.clevr.generator import generate
+from scene_attack_questions.executor import Facts, answer
 from tests.unit.training.iep.small import SEED, After, never, silent
 from training.iep import data
 from training.iep.data import DataFolder, Images, examples_of, objects_of

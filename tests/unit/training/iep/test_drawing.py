@@ -3,13 +3,13 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from services.rendering.color import to_bytes
-from services.rendering.factory import build
-from services.scenes.clevr.description import describe
-from services.scenes.clevr.generator import generate, object_numbers
-from services.scenes.clevr.records import RGB
-from services.scenes.library import Library
-from services.scenes.resolve import resolve
+from scene_attack.rendering.color import to_bytes
+from scene_attack.rendering.factory import build
+from scene_attack.scenes.library import Library
+from scene_attack.scenes.resolve import resolve
+from scene_attack_questions.clevr.description import describe
+from scene_attack_questions.clevr.generator import generate, object_numbers
+from scene_attack_questions.clevr.records import RGB
 from training.iep.data import coarse, draw, varied
 
 RECORD = generate(2, 0, objects=(3, 3))

@@ -1,6 +1,6 @@
-from services.questions.executor import Facts
-from services.questions.generator import QuestionGenerator
-from services.scenes.clevr.generator import generate
+from scene_attack_questions.clevr.generator import generate
+from scene_attack_questions.executor import Facts
+from scene_attack_questions.generator import QuestionGenerator
 from training.iep.examples import Example, ObjectTruth
 
 

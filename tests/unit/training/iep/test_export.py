@@ -6,13 +6,13 @@ import pytest
 import torch
 from torch import Tensor
 
-from services.analysis.verdict import wilson
-from services.errors import InvalidRequest
-from services.questions.executor import ANSWERS
-from services.questions.program import Node, Program
-from services.targets.iep.assembly import Question, assemble
-from services.targets.iep.checkpoint import Checkpoint
-from services.targets.iep.engine import Network
+from scene_attack.analysis.verdict import wilson
+from scene_attack.errors import InvalidRequest
+from scene_attack.targets.iep.assembly import Question, assemble
+from scene_attack.targets.iep.checkpoint import Checkpoint
+from scene_attack.targets.iep.engine import Network
+from scene_attack_questions.executor import ANSWERS
+from scene_attack_questions.program import Node, Program
 from tests.unit.targets.iep import world
 from training.iep import export
 from training.iep.data import shard
@@ -31,7 +31,7 @@ class Known:
 
 
 def test_answers_are_those_of_the_programs_that_were_made_of_the_texts(monkeypatch: pytest.MonkeyPatch) -> None:
-    from services.scenes.clevr.generator import generate
+    from scene_attack_questions.clevr.generator import generate
 
     monkeypatch.setattr(export, "AT_ONCE", 2)
     torch.manual_seed(0)

@@ -9,7 +9,7 @@ from contextlib import closing
 import psutil
 import pytest
 
-from services.errors import JobFailure
+from scene_attack.errors import JobFailure
 from tests.processes import command_line
 from tests.unit.training.iep.small import After, never
 from training.iep.processes import each

@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 import torch
 
-from services.errors import InvalidRequest
-from services.scenes.library import Library
-from services.targets.iep.checkpoint import load
+from scene_attack.errors import InvalidRequest
+from scene_attack.scenes.library import Library
+from scene_attack.targets.iep.checkpoint import load
 from tests.unit.training.iep.small import RECIPE, After, never, silent, stages
 from training.iep.export import check, write
 from training.iep.stages import Stages

@@ -1,8 +1,8 @@
 import pytest
 import torch
 
-from services.scenes.clevr.records import ATTRIBUTES
-from services.targets.iep.engine import Engine
+from scene_attack.targets.iep.engine import Engine
+from scene_attack_questions.clevr.records import ATTRIBUTES
 from training.iep.examples import ObjectTruth
 from training.iep.trunk_training import ObjectFinder, Truth, hand_over, trunk_accuracy, trunk_loss
 

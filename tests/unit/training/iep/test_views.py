@@ -1,7 +1,7 @@
 import numpy as np
 import torch
 
-from services.scenes.clevr.records import ATTRIBUTES
+from scene_attack_questions.clevr.records import ATTRIBUTES
 from training.iep.examples import ObjectTruth
 from training.iep.trunk_training import AugmentedViews
 

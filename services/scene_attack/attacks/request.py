@@ -1,0 +1,61 @@
+"""Settings of attacks that others read too: the loss, the seed, and the range of views and light over which an
+adversary is to hold. This module does not import torch.
+"""
+
+from typing import Annotated, Literal, get_args
+
+from pydantic import Field, model_validator
+
+from scene_attack.rendering.declaration import Declaration
+from scene_attack.scenes.description import Model
+
+Degrees = Annotated[float, Field(ge=0, le=180, allow_inf_nan=False)]
+Relative = Annotated[float, Field(ge=0, le=0.9, allow_inf_nan=False)]
+VIEWS = ("azimuth", "elevation", "distance", "roll")
+RANGES = (*VIEWS, "intensity", "noise")
+
+Loss = Literal["log-odds", "margin", "dlr"]
+LOSSES: tuple[Loss, ...] = get_args(Loss)
+LOSS_DESCRIPTION = (
+    "what is minimised: `log-odds` of the label to leave (in place of cross-entropy, whose direction it has), `margin` "
+    "of its score over the largest other, or `dlr`, the margin divided by the spread of the largest scores"
+)
+LARGEST_SEED = 2**63 - 1
+Seed = Annotated[int, Field(ge=0, le=LARGEST_SEED)]
+
+
+class Expectation(Model):
+    """A range of views, light and camera noise over which the adversary is to hold (Athalye et al. 2018). Each step
+    lowers the mean objective over the scene itself and `samples` variations of it, drawn anew. Each range is the
+    half-width of a uniform distribution about the scene's own value, except `noise`.
+    """
+
+    azimuth: Degrees = Field(0.0, description="of the camera's azimuth, degrees")
+    elevation: Degrees = Field(0.0, description="of the camera's elevation, degrees")
+    roll: Degrees = Field(0.0, description="of the camera's roll, degrees")
+    distance: Relative = Field(0.0, description="of the camera's distance, as a share of it")
+    intensity: Relative = Field(0.0, description="of the light's intensity, as a share of it")
+    noise: Annotated[float, Field(ge=0, le=32, allow_inf_nan=False)] = Field(
+        0.0, description="standard deviation of the camera's noise, of each RGB value, in 1/255"
+    )
+    samples: Annotated[int, Field(ge=0, le=64)] = Field(
+        4,
+        description="variations of a step; each image of the attack becomes 1 + `samples` images and queries; 0: the "
+        "attack is of the scene itself alone, and the result measures the share for comparison",
+    )
+    checks: Annotated[int, Field(ge=1, le=10_000)] = Field(
+        100, description="fresh variations on which the result measures the share that is fooled, after the attack"
+    )
+
+    @model_validator(mode="after")
+    def _a_range(self) -> "Expectation":
+        if not any(getattr(self, name) for name in RANGES):
+            raise ValueError(f"give a range above 0 to one of {', '.join(RANGES)}")
+        return self
+
+    def check(self, renderer: Declaration) -> None:
+        """Raises ValueError for a range that the renderer cannot draw."""
+        for name in RANGES:
+            if getattr(self, name) and name != "noise" and name not in renderer.varies:
+                can = ", ".join([*renderer.varies, "noise"])
+                raise ValueError(f"expectation.{name}: renderer {renderer.name} can draw a range of {can} only")

@@ -1,0 +1,96 @@
+"""A scene with numbers for everything that an attack may move: poses, colours, camera and lights."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import pi
+from typing import Any
+
+import numpy as np
+from torch import Tensor
+
+from scene_attack.rendering.pyrender.declaration import PYRENDER
+from scene_attack.rendering.pyrender.parameters import SceneParameters
+from scene_attack.scenes.mesh import Doubles
+from scene_attack.scenes.resolve import ResolvedScene
+from scene_attack.scenes.view import camera_pose
+
+
+@dataclass(frozen=True)
+class LightValues:
+    """One light. kind: "point", "directional" or "spot", glTF's words. energy: radiant intensity, or irradiance of a
+    directional light, before exposure. position, direction: [3], world space; the direction is that in which the light
+    travels. cone: inner and outer angle of a spot light, radians."""
+
+    name: str
+    kind: str
+    energy: float
+    position: Doubles
+    direction: Doubles
+    cone: tuple[float, float] = (0.0, pi / 4)
+
+    @property
+    def pose(self) -> Doubles:
+        """World from light, float64 [4, 4]: glTF's lights shine along their −z."""
+        pose = np.eye(4)
+        pose[:3, 3] = self.position
+        length = float(np.linalg.norm(self.direction))
+        if self.kind != "point" and length > 0:
+            back = -self.direction / length
+            helper = np.eye(3)[int(np.abs(back).argmin())]
+            right = np.cross(helper, back)
+            right /= np.linalg.norm(right)
+            pose[:3, 0], pose[:3, 1], pose[:3, 2] = right, np.cross(back, right), back
+        return pose
+
+
+@dataclass(frozen=True)
+class SceneValues:
+    """The values of a scene, before or after an attack.
+
+    poses: world from mesh of all that is drawn, [things, 4, 4], the floor last. colors: linear factors on their base
+    colours [things, 3]. camera: world from camera [4, 4]. ambient: mean radiance of the light from all around.
+    """
+
+    poses: Doubles
+    colors: Doubles
+    camera: Doubles
+    ambient: float
+    lights: tuple[LightValues, ...]
+
+
+def scene_values(scene: ResolvedScene, perturbation: Mapping[str, Tensor]) -> SceneValues:
+    """The scene's own values plus a perturbation of the pyrender renderer's groups; other groups move none of these."""
+    numbers = SceneParameters(scene)
+    initial = numbers.initial()
+    moved = {g: (initial[g] + change.double())[None] for g, change in perturbation.items() if g in initial}
+    at = {group: value[0] for group, value in numbers.checked(moved).items()}
+    poses = numbers.poses(at["translation"], at["rotation"])
+    nothing = (0, 0, 0, 0)
+    lit = numbers.lit(at["illumination"][None], at["color"][None], numbers.view(at["camera"]), poses, nothing)
+    cones = [(spot.inner_angle, spot.outer_angle) for spot in scene.description.lights.spots]
+    lights = [
+        *(LightValues(f"point {i}", "point", row[0], row[1:], np.zeros(3)) for i, row in enumerate(lit.points[0])),
+        *(
+            LightValues(f"directional {i}", "directional", row[0], np.zeros(3), -row[1:])
+            for i, row in enumerate(lit.directionals[0])
+        ),
+        *(LightValues(f"spot {i}", "spot", row[0], row[1:4], row[4:7], cones[i]) for i, row in enumerate(lit.spots[0])),
+    ]
+    return SceneValues(
+        poses=poses,
+        colors=lit.colors[0],
+        camera=camera_pose(*(float(x) for x in at["camera"])),
+        ambient=float(lit.ambients[0]),
+        lights=tuple(lights),
+    )
+
+
+def moves_the_scene(renderer: str) -> bool:
+    """Whether the renderer's groups are values of the scene, so that the scene differs before and after the attack."""
+    return renderer == PYRENDER.name
+
+
+def as_extras(light: LightValues) -> dict[str, Any]:
+    """The energy of a light and its unit, which glTF's own fields do not say."""
+    unit = "irradiance of a surface that faces it" if light.kind == "directional" else "radiant intensity"
+    return {"energy": float(light.energy), "unit": unit}

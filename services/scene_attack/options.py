@@ -1,0 +1,117 @@
+"""Options of the engine: where it keeps files, on which device and OpenGL platform it computes, what it loads besides
+its own parts, and how large a file may be. The defaults work on a laptop.
+"""
+
+import os
+from pathlib import Path
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field, field_validator
+
+from scene_attack.addresses import endpoint_mistake
+
+
+class Options(BaseModel):
+    """What may be chosen of the engine. A process has one value of most of them (`scene_attack.process`)."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    cache: Path = Field(Path("~/.cache/scene-attack"), description="downloaded and derived files; safe to delete")
+    device: str = Field(
+        "auto",
+        pattern=r"^(auto|cpu|cuda(:[0-9]{1,2})?)$",
+        description="where networks and the torch renderer compute: auto (CUDA if there is one), cpu, cuda, cuda:N",
+    )
+    extensions: str | None = Field(
+        None,
+        description="files, or folders of .py files, with attacks, renderers and targets of your own; separated as in "
+        "`PATH`",
+    )
+    targets: Path | None = Field(
+        None, description="folder with networks of your own, one folder each with a `card.json`; docs/targets.md"
+    )
+    target_factories: str | None = Field(
+        None,
+        description="`module:callable` of each function that a card may name as its `factory`, separated by commas",
+    )
+    target_endpoints: str | None = Field(
+        None,
+        description="each URL that a card may name as its `endpoint`, and each private IP address that such a URL's "
+        "host may have, separated by commas",
+    )
+    gl: Literal["auto", "egl", "osmesa"] = Field("auto", description="OpenGL platform; auto tries EGL, then OSMesa")
+    kernel: Literal["auto", "native", "torch"] = Field(
+        "auto",
+        description="what runs inner loops on a CPU; auto takes compiled kernels, torch where there are none",
+    )
+    kernel_arch: str = Field(
+        "native",
+        pattern=r"^[a-z0-9][a-z0-9+._-]*$",
+        description="processor the kernels are compiled for: native, portable, or a name that g++ -march knows",
+    )
+    kernel_dir: Path | None = Field(None, description="folder of the compiled kernels; default: native in the cache")
+    max_upload_bytes: int = Field(32 * 2**20, ge=1, description="largest mesh upload")
+    max_faces: int = Field(300_000, ge=1, description="largest mesh, in triangles")
+
+    @field_validator("target_endpoints")
+    @classmethod
+    def _can_be_reached(cls, value: str | None) -> str | None:
+        for part in sorted(listed(value)):
+            refusal = endpoint_mistake(part)
+            if refusal is not None:
+                raise ValueError(f"{part!r} can never match: {refusal}")
+        return value
+
+    @field_validator("cache", "targets", "kernel_dir")
+    @classmethod
+    def _has_a_home(cls, value: Path | None) -> Path | None:
+        return with_a_home(value)
+
+    @property
+    def cache_dir(self) -> Path:
+        """The cache directory, absolute."""
+        return self.cache.expanduser().resolve()
+
+    @property
+    def kernel_folder(self) -> Path:
+        """The folder of the compiled kernels, absolute."""
+        return self.cache_dir / "native" if self.kernel_dir is None else self.kernel_dir.expanduser().resolve()
+
+    @property
+    def extension_paths(self) -> list[Path]:
+        """The files and folders listed in `extensions`, as they were written."""
+        return [Path(part) for part in (self.extensions or "").split(os.pathsep) if part]
+
+    @property
+    def target_folder(self) -> Path | None:
+        """The folder with networks of one's own, absolute; None if there is none."""
+        return None if self.targets is None else self.targets.expanduser().resolve()
+
+    @property
+    def allowed_factories(self) -> frozenset[str]:
+        """The factories that cards may name."""
+        return listed(self.target_factories)
+
+    @property
+    def allowed_endpoints(self) -> frozenset[str]:
+        """The URLs that cards may name, and the private addresses that these may have."""
+        return listed(self.target_endpoints)
+
+
+def with_a_home(path: Path | None) -> Path | None:
+    """Returns a path; raises ValueError if it begins with the home of a user who is not there (~nobody/…)."""
+    try:
+        if path is not None:
+            path.expanduser()
+    except RuntimeError as error:
+        raise ValueError(f"{path}: there is no such user") from error
+    return path
+
+
+def listed(text: str | None) -> frozenset[str]:
+    """The entries of a list that is written with commas."""
+    return frozenset(part.strip() for part in (text or "").split(",") if part.strip())
+
+
+DEFAULTS = Options()
+"""The options of whoever chooses none."""

@@ -1,0 +1,133 @@
+"""This process as a whole: the options of what a process does once, the device on which it computes, and the versions
+of what it runs.
+
+A process binds OpenGL to a platform, loads the kernels, chooses a device, and knows the folder of weights and other
+downloaded files. It calls `use` when it starts. One that never does, such as a researcher's, has the defaults.
+
+The API checks the setting of the device, too, and it loads no torch: nothing here imports it before it is needed.
+"""
+
+import os
+import platform
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import lru_cache
+from importlib.metadata import version
+from math import isfinite
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from scene_attack.errors import InvalidRequest
+from scene_attack.options import DEFAULTS, Options
+
+if TYPE_CHECKING:
+    import torch
+    from torch import Tensor
+
+
+ONCE = {"cache": "cache_dir", "kernel_dir": "kernel_folder"} | {
+    name: name for name in ("device", "gl", "kernel", "kernel_arch")
+}
+"""The options of which a process has one value, each with the attribute that holds it, a path being absolute there."""
+
+
+def program(module: str, *arguments: str) -> list[str]:
+    """The command that runs a module of ours by this Python.
+
+    -P: a file of the user's own in the folder where the command is given, `queue.py` say, is not taken for Python's.
+    """
+    return [sys.executable, "-P", "-m", module, *arguments]
+
+
+_options: Options | None = None
+
+
+def use(asked: Options) -> None:
+    """Sets the options of this process, before anything asks for them.
+
+    Calling it again with the same options does nothing. Raises InvalidRequest, which names the variable, for a value
+    that differs from the one that this process has.
+    """
+    global _options
+    if _options is None:
+        _options = asked
+    for name, attribute in ONCE.items():
+        has, value = getattr(_options, attribute), getattr(asked, attribute)
+        if value != has:
+            detail = f"this process has {has} already and cannot change to {value}; start another process"
+            raise InvalidRequest(f"SCENE_ATTACK_{name.upper()}", detail)
+
+
+def options() -> Options:
+    """Returns the options of this process. From the first call on they are fixed."""
+    global _options
+    if _options is None:
+        _options = DEFAULTS
+    return _options
+
+
+@contextmanager
+def replaced(**changes: str | Path) -> Iterator[None]:
+    """Replaces options as long as the context lasts, to compare them. What was loaded before stays loaded."""
+    global _options
+    before = options()
+    _options = before.model_copy(update=changes)
+    try:
+        yield
+    finally:
+        _options = before
+
+
+def device() -> "torch.device":
+    """Returns the device of the setting; "auto" is the first CUDA device if there is one, else the CPU.
+
+    Raises InvalidRequest, naming the setting, for a device that does not exist.
+    """
+    import torch
+
+    name = options().device
+    if name == "cpu" or (name == "auto" and not torch.cuda.is_available()):
+        return torch.device("cpu")
+    count = torch.cuda.device_count() if torch.cuda.is_available() else 0
+    index = int(name.partition(":")[2] or 0)
+    if index >= count:
+        there = f"{count} CUDA device{'s' if count > 1 else ''}, numbered from 0" if count else "no CUDA device"
+        raise InvalidRequest(f"SCENE_ATTACK_DEVICE={name}", f"this machine has {there}; use auto or cpu")
+    _make_deterministic()
+    return torch.device("cuda", index)
+
+
+def check_device() -> None:
+    """Raises InvalidRequest, naming the setting, where the device is not there. Imports torch only to look for CUDA."""
+    if options().device not in ("auto", "cpu"):
+        device()
+
+
+def describe(where: "torch.device") -> str:
+    """Returns a device's part of a backend string: "cpu", or the CUDA device and its model."""
+    import torch
+
+    return where.type if where.type != "cuda" else f"{where} ({torch.cuda.get_device_name(where)})"
+
+
+def _make_deterministic() -> None:
+    """Makes CUDA's libraries deterministic, and turns off TensorFloat-32."""
+    import torch
+
+    os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")  # read when cuBLAS is first used
+    torch.backends.cudnn.allow_tf32 = False
+    torch.backends.cudnn.benchmark = False
+    torch.use_deterministic_algorithms(True, warn_only=True)
+
+
+def finite(values: "Tensor") -> bool:
+    """Returns whether every value is finite. The minimum and maximum, which a single pass computes, suffice."""
+    low, high = values.detach().aminmax()
+    return isfinite(float(low)) and isfinite(float(high))
+
+
+@lru_cache
+def versions(*packages: str) -> dict[str, str]:
+    """Returns the versions of Python and of the installed `packages` by name. Cached, as reading takes milliseconds."""
+    return {"python": platform.python_version()} | {name: version(name) for name in packages}

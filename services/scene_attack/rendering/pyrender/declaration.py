@@ -1,0 +1,73 @@
+"""The pyrender renderer's groups: lights, colours and poses, and on request the camera.
+
+With one object and one point light, those that are attacked by default are the paper's 14 numbers.
+
+The suggested steps are 0.005 of a light or a colour, 0.0005 scene units and 0.001 radians. A step of all coordinates
+of a group at random signs changes an image of 224² by a perceptibility p of about 1e-3 (illumination), 2e-4 (color) and
+6e-3 to 1e-2 (translation, rotation, camera). Light and colour change an image smoothly and may take
+longer steps than what moves silhouettes, whose p grows with the root of the step.
+"""
+
+from scene_attack.rendering.declaration import Declaration, Group, labelled, register
+
+PYRENDER = Declaration(
+    name="pyrender",
+    groups=(
+        Group(
+            name="illumination",
+            shape=("1 + 4 points + 4 directional + 7 spots",),
+            unit="ambient radiance; then per point light its energy / 30 and its position in scene units; per "
+            "directional light its energy / 3 and its direction; per spot light its energy / 30, its position and its "
+            "direction",
+            words="illumination",
+            suggested_limit=0.1,
+            # The labels depend on the kinds of the lights, not on their number alone: see `PyrenderRenderer.names`.
+            suggested_step=0.005,
+        ),
+        Group(
+            name="color",
+            shape=("objects", "3"),
+            unit="linear factor on the mesh's own colours, in [0,1]",
+            words="colour",
+            suggested_limit=0.1,
+            labels=labelled("object {} color", ("red", "green", "blue")),
+            suggested_step=0.005,
+        ),
+        Group(
+            name="translation",
+            shape=("objects", "3"),
+            unit="scene units",
+            words="position",
+            suggested_limit=0.02,
+            labels=labelled("object {} translation", ("x", "y", "z")),
+            suggested_step=0.0005,
+        ),
+        Group(
+            name="rotation",
+            shape=("objects", "3"),
+            unit="radians: a rotation vector",
+            words="rotation",
+            suggested_limit=0.1,
+            labels=labelled("object {} rotation", ("x", "y", "z")),
+            suggested_step=0.001,
+        ),
+        Group(
+            name="camera",
+            shape=("4",),
+            unit="azimuth and elevation in radians, distance in scene units, and roll in radians",
+            words="camera",
+            labels=labelled(("camera azimuth", "camera elevation", "camera distance", "camera roll")),
+            suggested_limit=0.1,
+            by_default=False,
+            suggested_step=0.001,
+        ),
+    ),
+    differentiable=False,
+    method="zoo",
+    renderer="scene_attack.rendering.pyrender.renderer:PyrenderRenderer",
+    worded="scene_attack.rendering.pyrender.words:worded",
+    varies=dict.fromkeys(("azimuth", "elevation", "roll", "distance"), "camera") | {"intensity": "illumination"},
+    varied="scene_attack.rendering.pyrender.renderer:varied",
+)
+
+register(PYRENDER)

@@ -1,0 +1,82 @@
+"""Declares the torch renderer's differentiable groups: normals, illumination (in one channel or in three) and material.
+
+The paper has one intensity per direction of the environment map (footnote 1, L of W×H), so that is the default. The
+module needs no torch: the API checks requests by the groups and by the names of the material presets.
+"""
+
+import json
+from functools import lru_cache
+from importlib.resources import files
+from typing import Any
+
+from scene_attack.errors import InvalidRequest
+from scene_attack.rendering.declaration import Declaration, Group, labelled, register
+from scene_attack.text import did_you_mean
+
+TORCH = Declaration(
+    name="torch",
+    groups=(
+        Group(
+            name="normals",
+            shape=("H", "W", "2"),
+            unit="radians: azimuth and polar angle in the camera's frame",
+            words="surface normals",
+            suggested_step=0.004,
+            suggested_limit=0.1,
+        ),
+        Group(
+            name="illumination",
+            shape=("rows", "columns"),
+            unit="a tenth of the map's mean intensity, one value per texel of the environment map",
+            words="illumination",
+            vector_axes=0,
+            suggested_step=0.003,
+            suggested_limit=3.0,
+        ),
+        Group(
+            name="illumination_rgb",
+            shape=("rows", "columns", "3"),
+            unit="a tenth of the map's mean intensity, one value per texel and channel, added to the texel's "
+            "`illumination` in this channel; 0 at the start",
+            words="coloured illumination",
+            suggested_step=0.003,
+            suggested_limit=3.0,
+            by_default=False,
+        ),
+        Group(
+            name="material",
+            shape=("objects", "3", "3", "2", "6"),
+            unit="1/30 of a natural logarithm: Bernstein coefficients of log κ and log γ, by object, channel and lobe",
+            words="material",
+            labels=labelled("object {}", ("red", "green", "blue"), "lobe {}", ("kappa", "gamma"), "{}"),
+            vector_axes=2,
+            suggested_step=0.003,
+            suggested_limit=3.0,
+        ),
+    ),
+    differentiable=True,
+    method="fgsm",
+    renderer="scene_attack.rendering.torch.renderer:TorchRenderer",
+    drawn="scene_attack.rendering.torch.words:drawn",
+    worded="scene_attack.rendering.torch.words:worded",
+    varies={"intensity": "illumination"},
+    varied="scene_attack.rendering.torch.renderer:varied",
+)
+
+register(TORCH)
+
+
+@lru_cache(maxsize=1)
+def stored_presets() -> dict[str, dict[str, Any]]:
+    """Returns the fits of all presets by name, as presets.json has them."""
+    text = files("scene_attack.rendering.torch").joinpath("presets.json").read_text()
+    presets: dict[str, dict[str, Any]] = json.loads(text)["presets"]
+    return presets
+
+
+def check_preset(name: str, field: str = "material") -> None:
+    """Raises InvalidRequest(field, …) with the nearest names for an unknown name."""
+    known = stored_presets()
+    if name not in known:
+        hint = did_you_mean(name, known) or f"; there are {', '.join(known)}"
+        raise InvalidRequest(field, f"there is no material preset {name!r}{hint}")

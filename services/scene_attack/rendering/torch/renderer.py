@@ -1,0 +1,345 @@
+"""The differentiable renderer of the paper: a G-buffer shaded by a DSBRDF under an environment map.
+
+The radiance of a pixel with normal n, for a distant viewer and distant light, is
+
+    I = exposure · Σ_ω ρ(θ_h, θ_d) · chroma(ω) · ℓ(ω) · max(0, n·ω) · ΔΩ(ω),
+
+with base_color as a factor on the lobes that have the mesh's colour (`dsbrdf.Layer`). The displayed value is its sRGB
+curve on [0,1], composited over the ground by coverage. The viewer direction is the same for all pixels, from the
+scene's origin to the camera: a modelling choice of the paper, under which θ_d depends on the light direction alone.
+With the camera's `viewer` "perspective" each pixel has its own viewer direction. How the sum is computed for the
+attacked groups is decided by a plan (planner) when the renderer is made; `smallest_map` chooses the size of an
+environment map for a tolerance.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import cached_property
+
+import torch
+from torch import Tensor
+
+from scene_attack.process import describe, device
+from scene_attack.rendering.color import Canvas
+from scene_attack.rendering.declaration import BuildRequest, DeclaredRenderer
+from scene_attack.rendering.kernels import compiled
+from scene_attack.rendering.opengl.gbuffer import GBuffer, rasterise
+from scene_attack.rendering.plan import DEFAULT_TOLERANCE, Item, Plan, Tolerance
+from scene_attack.rendering.protocol import Parameters, Renderer
+from scene_attack.rendering.torch import dsbrdf
+from scene_attack.rendering.torch.declaration import TORCH
+from scene_attack.rendering.torch.dsbrdf import MATERIAL_UNIT, layers, preset
+from scene_attack.rendering.torch.light import LIGHT_GROUPS, Illumination, directions, illumination, solid_angles
+from scene_attack.rendering.torch.planner import compile_plan, looked_at, map_error
+from scene_attack.rendering.torch.shader import Recipe, Shader, Sky, Surface
+from scene_attack.rendering.torch.shading import Directions
+from scene_attack.rendering.torch.surfaces import VisibleSurfaces, regions, visibility, visible_surfaces
+from scene_attack.rendering.torch.table import MAX_ANGLE
+from scene_attack.rendering.variation import Variation
+from scene_attack.scenes.description import MAP_SIZES
+from scene_attack.scenes.environment import average
+from scene_attack.scenes.resolve import ResolvedScene
+
+
+def ignored_items(scene: ResolvedScene) -> Iterator[Item]:
+    """Yields items on the surface properties of the scene that the renderer does not use."""
+    why = "metallic, roughness, emission and occlusion are ignored: the torch renderer has materials of its own"
+    parts = [part for placed in scene.placed if not placed.given_surface for part in placed.mesh.parts]
+    if own := sum(part.metallic_roughness is not None for part in parts):
+        yield Item(what="materials of the file", kept=0, of=own, why=why)
+    if n_given := sum(placed.given_surface for placed in scene.placed):
+        why = "the fields are pyrender's: the torch renderer has materials of its own, named in `material`"
+        yield Item(what="metallic and roughness", kept=0, of=n_given, why=why)
+
+
+def surface_items(visible: VisibleSurfaces) -> Iterator[Item]:
+    """Yields the item on pixels that show several surfaces."""
+    if visible.turns is not None:
+        count = len(visible.angles)
+        why = (
+            "in a pixel at an outline each surface is shaded by itself, and their colours are averaged by their shares"
+        )
+        yield Item(what="surfaces of pixels", kept=count, of=count, why=why)
+
+
+class TorchRenderer(DeclaredRenderer):
+    """Renders a G-buffer under an environment map. It has four groups, each differentiable.
+
+    normals [H, W, 2]: azimuth and polar angle in the camera's frame, radians (see `normals`). They are 0 and have no
+    effect at pixels that no object covers.
+    illumination [rows, cols]: one intensity per texel of the map, ≥ 0, of mean ILLUMINATION_MEAN; the texel's colour is
+    fixed.
+    illumination_rgb [rows, cols, 3]: added to each texel's intensity, in each colour channel by itself; 0 at the start.
+    The sum is held at ≥ 0. Only requests that name this group attack it: the paper's light has one channel.
+    material [objects, 3, 3, 2, 6]: Bernstein coefficients of log κ and log γ by object, colour channel and lobe
+    (scene_attack.rendering.torch.dsbrdf), times MATERIAL_UNIT.
+    """
+
+    declaration = TORCH
+
+    def __init__(
+        self,
+        scene: ResolvedScene,
+        gbuffer: GBuffer | None = None,
+        groups: Sequence[str] = TORCH.default_groups,
+        tolerance: Tolerance = DEFAULT_TOLERANCE,
+        seen: Tensor | None = None,
+    ) -> None:
+        """Plans the rendering of `scene` for attacks on `groups`. `gbuffer`: None rasterises it here.
+
+        Only these groups may then be rendered with other values than the scene's own, unless `tolerance` is "exact".
+        "exact" computes in float64 throughout; with a number images are float32. `seen` is the visibility of a renderer
+        of the same scene, so that it is found once; None: it is found here.
+
+        Raises InvalidRequest for an unknown material preset, and as `visibility` does.
+        """
+        dtype = torch.float64 if tolerance == "exact" else torch.float32
+        self._attacked, self._dtype, self._device = tuple(groups), dtype, device()
+        where = describe(self._device)
+        shaded_by = compiled.backend() if self._device.type == "cpu" else "torch"
+        is_own = gbuffer is None
+        gbuffer = rasterise(scene) if gbuffer is None else gbuffer
+        height, width = gbuffer.coverage.shape
+        self.size = (height, width)
+        self.backend = (
+            f"torch {torch.__version__} {where} {str(dtype).removeprefix('torch.')} threads {torch.get_num_threads()}, "
+            f"shading {shaded_by}; {gbuffer.backend}"
+        )
+        gbuffer = gbuffer.to(self._device)  # OpenGL drew it on the CPU
+        to_camera = torch.as_tensor(scene.view, dtype=torch.float64)[:3, :3].to(self._device)
+        light = illumination(torch.as_tensor(scene.environment).to(self._device))
+        sky = sky_of(light, to_camera)
+        n_objects = len(scene.description.objects)
+        materials = [preset(placed.described.material, f"{placed.field}.material") for placed in scene.placed]
+        of_objects = layers([placed.described.material for placed in scene.placed])
+        visible = visible_surfaces(gbuffer, to_camera)
+        initial = {
+            "normals": visible.image,
+            "illumination": light.intensity,
+            "illumination_rgb": torch.zeros_like(light.chroma),
+            "material": torch.stack(materials).to(self._device) * MATERIAL_UNIT,
+        }
+        # Round to float32 whatever the dtype, so that the exact twin renders the same scene.
+        rounded = {group: value.to(torch.float32).to(torch.float64) for group, value in initial.items()}
+        self._initial = {group: value.to(dtype) for group, value in rounded.items()}
+        # The floor, which is last, is no object: its material is no value of the group.
+        self._initial["material"], self._fixed = self._initial["material"].tensor_split([n_objects])
+
+        if seen is None:
+            seen = visibility(scene, visible.shown.to(torch.device("cpu")))
+        names = [placed.name for placed in scene.placed]
+        near = scene.description.camera.viewer == "perspective"
+        seen = None if seen is None else seen.to(self._device)
+        parts = regions(visible.shown.object_index, seen, names, by_shadow=not near)
+        self._owners, self._counts = parts.owners, parts.counts
+        visible = visible.ordered(parts.order)
+        shown, pixels = visible.shown, visible.shown.pixels
+        self._turns = None if visible.turns is None else visible.turns.to(dtype)
+        self._layers = [of_objects[k] for k in parts.owners]
+        base_color = shown.base_color
+        ground = torch.tensor(scene.ground, dtype=dtype, device=self._device)
+        ground = ground if ground.dim() == 1 else ground.reshape(-1, 3)
+        self._colors = torch.split(base_color.to(dtype), self._counts)
+        # The radiance of an object with layers has its colours already.
+        own_colors = [
+            color if len(own) == 1 else torch.ones_like(color)
+            for color, own in zip(self._colors, self._layers, strict=True)
+        ]
+        covered = shown.share[:, None].to(dtype)
+        self._canvas = Canvas(self.size, pixels, torch.cat(own_colors), covered, ground, visible.ranks)
+
+        surfaces = [
+            Surface(
+                name,
+                own,
+                layer.base_color(color.double()),
+                layer.material(material),
+                own_viewers if near else None,
+                layer.words,
+                layer.share,
+                hidden,
+                fixed_material=layer.owner >= n_objects,
+            )
+            for name, own_layers, own, color, material, own_viewers, hidden in zip(
+                parts.names,
+                self._layers,
+                torch.split(visible.angles, self._counts),
+                torch.split(base_color, self._counts),
+                [rounded["material"][k] for k in parts.owners],
+                torch.split(viewers_of(scene, self.size).to(self._device)[pixels], self._counts),
+                parts.visibilities,
+                strict=True,
+            )
+            for layer in own_layers
+        ]
+        intensity = rounded["illumination"].flatten()
+        items = [*ignored_items(scene), *surface_items(visible)]
+
+        def compiled_plan() -> tuple[list[Recipe], Plan]:
+            n_pixels = self._canvas.n_pixels
+            return compile_plan(surfaces, sky, intensity, groups, tolerance, self.size, items, n_pixels)
+
+        what = "recipes", self._attacked, tolerance
+        recipes, plan = scene.once(what, compiled_plan) if is_own else compiled_plan()
+        self.shaders = [
+            Shader(recipe, sky, surface, intensity) for recipe, surface in zip(recipes, surfaces, strict=True)
+        ]
+        self._made_of = scene, gbuffer, seen
+        self._is_exact = tolerance == "exact"
+        self._plan, self._shaded, self._light = plan, (shown, surfaces), (sky, intensity)
+
+    @classmethod
+    def build(cls, request: BuildRequest) -> "TorchRenderer":
+        """Rasterises the request's scene and makes its renderer."""
+        return cls(request.scene, None, request.groups, request.tolerance)
+
+    @cached_property
+    def plan(self) -> Plan:
+        """The plan. The error due to the map's size is measured on first access, as drawing alone does not need it."""
+        error = self._made_of[0].once("error of the map's size", self._map_error)
+        return self._plan.model_copy(update={"environment_map_error": error})
+
+    def initial(self) -> Parameters:
+        """Returns the scene's own values, {group: tensor}, in the renderer's dtype, rounded to float32."""
+        return {group: value.cpu().clone() for group, value in self._initial.items()}
+
+    def bounds(self) -> Mapping[str, tuple[Tensor, Tensor]]:
+        """Returns the lowest and highest value of each group, {group: (low, high)}, broadcastable to it.
+
+        Light is not negative; κ and γ stay in the ranges of `dsbrdf`; any angle is a normal, and angles are bounded so
+        that float32 still resolves them (see `normals`).
+        """
+        furthest = torch.tensor(MAX_ANGLE, dtype=self._dtype)
+        infinity = torch.tensor(torch.inf, dtype=self._dtype)
+        ranges = torch.tensor([dsbrdf.LOG_KAPPA_RANGE, dsbrdf.LOG_GAMMA_RANGE], dtype=self._dtype) * MATERIAL_UNIT
+        return {
+            "normals": (-furthest, furthest),
+            "illumination": (torch.zeros((), dtype=self._dtype), infinity),
+            "illumination_rgb": (-self._initial["illumination"][..., None].cpu(), infinity),
+            "material": (ranges[:, :1], ranges[:, 1:]),
+        }
+
+    def render(self, parameters: Mapping[str, Tensor]) -> Tensor:
+        """Renders images [B, H, W, 3] in [0,1], in the renderer's dtype and on its device.
+
+        Groups that are left out keep the scene's own values.
+
+        Raises ValueError for a wrong shape or an unknown group.
+        """
+        batch = {len(value) for value in parameters.values()} or {1}
+        if len(batch) > 1:
+            raise ValueError(f"groups with different batch sizes {sorted(batch)}")
+        for group, value in parameters.items():
+            if group not in self._initial or value.shape[1:] != self._initial[group].shape:
+                expected = {name: ("B", *initial.shape) for name, initial in self._initial.items()}
+                raise ValueError(f"group {group!r} of shape {tuple(value.shape)}; wanted {expected}")
+            if group not in self._attacked and not self._is_exact:  # the exact renderer takes every group
+                raise ValueError(f"group {group!r} is not among {self._attacked}, which this renderer is compiled for")
+        # One image at a time: its operations and shapes, and so its bits, do not depend on the rest of the batch.
+        images = [
+            self._image({group: value[b].to(self._device, self._dtype) for group, value in parameters.items()})
+            for b in range(batch.pop())
+        ]
+        return torch.stack(images) if len(images) > 1 else images[0][None]
+
+    def exact(self) -> "TorchRenderer":
+        """Returns the exact renderer of the same scene, which computes in float64 without shortcuts.
+
+        It is made on first access, as drawing alone does not need it.
+        """
+        return self._twin
+
+    @cached_property
+    def _twin(self) -> "TorchRenderer":
+        scene, gbuffer, seen = self._made_of
+        return self if self._is_exact else TorchRenderer(scene, gbuffer, tolerance="exact", seen=seen)
+
+    @property
+    def failed_checks(self) -> int:
+        """Number of times that an object's sampled check failed, so that its pixels were summed directly."""
+        return sum(shader.summed_after_all for shader in self.shaders)
+
+    def _image(self, parameters: Parameters) -> Tensor:
+        """Renders one image [H, W, 3]; groups that are not given keep the scene's own values."""
+        values = self._initial | parameters
+        angles, intensity = self._canvas.covered(values["normals"]), values["illumination"].flatten()
+        if self._turns is not None:
+            angles = angles + self._turns
+        if "illumination_rgb" in parameters:
+            intensity = (intensity + parameters["illumination_rgb"].reshape(-1, 3).T).clamp_min(0.0)  # [3, D]
+        shaders, materials = iter(self.shaders), [*values["material"], *self._fixed]
+        shaded = []
+        for parts, own, color, owner in zip(
+            self._layers, torch.split(angles, self._counts), self._colors, self._owners, strict=True
+        ):
+            material = materials[owner]
+            radiances = [next(shaders)(own, intensity, layer.material(material)).to(self._dtype) for layer in parts]
+            shaded.append(radiances[0] if len(parts) == 1 else color * radiances[0] + radiances[1])
+        return self._canvas.image(torch.cat(shaded) if len(shaded) > 1 else shaded[0])
+
+    def _map_error(self) -> float | None:
+        """Returns the error of a displayed value due to the environment map's size; None for the largest size."""
+        scene, _, seen = self._made_of
+        if scene.finest_environment is None:
+            return None
+        light = illumination(torch.as_tensor(scene.finest_environment).to(self._device))
+        to_camera = torch.as_tensor(scene.view, dtype=torch.float64)[:3, :3].to(self._device)
+        shown, surfaces = self._shaded
+        if seen is not None:
+            some = shown.some(looked_at(self._counts).to(self._device)).to(torch.device("cpu"))
+            visible = visibility(replace(scene, environment=scene.finest_environment), some)
+            seen = None if visible is None else visible.to(self._device)
+        return map_error(surfaces, self._light, (sky_of(light, to_camera), light.intensity.flatten()), seen)
+
+
+def sky_of(light: Illumination, to_camera: Tensor) -> Sky:
+    """Returns a map's directions and powers in the camera's frame.
+
+    `to_camera` [3, 3] turns world vectors, as rows, into that frame.
+    """
+    rows, cols = light.intensity.shape
+    towards = directions(rows, cols).to(to_camera) @ to_camera
+    half, theta_d = dsbrdf.half_vectors(towards, torch.tensor([0.0, 0.0, 1.0]).to(towards))
+    power = (light.exposure * light.chroma).reshape(-1, 3).T * solid_angles(rows, cols).to(to_camera)
+    return Sky(Directions.of(towards, half), dsbrdf.basis(theta_d) / MATERIAL_UNIT, power)
+
+
+def viewers_of(scene: ResolvedScene, size: tuple[int, int]) -> Tensor:
+    """Returns unit vectors from each pixel's surface point to the camera, in the camera's frame, float64 [H·W, 3]."""
+    height, width = size
+    across = torch.as_tensor(scene.projection, dtype=torch.float64)
+    x = ((torch.arange(width, dtype=torch.float64) + 0.5) * 2 / width - 1) / across[0, 0]
+    y = (1 - (torch.arange(height, dtype=torch.float64) + 0.5) * 2 / height) / across[1, 1]
+    down, right = torch.meshgrid(y, x, indexing="ij")
+    return torch.nn.functional.normalize(
+        torch.stack((-right, -down, torch.ones_like(right)), -1).reshape(-1, 3), dim=-1
+    )
+
+
+def smallest_map(scene: ResolvedScene, tolerance: Tolerance) -> tuple[int, int]:
+    """Returns the smallest of MAP_SIZES whose displayed values are within `tolerance` of those of the largest.
+
+    The values are compared at the pixels that `map_error` samples. The result is the largest size where no smaller one
+    suffices, for "exact", and for a scene without a source map (one that was not resolved from a library).
+    """
+    if scene.source_map is None or tolerance == "exact":
+        return MAP_SIZES[-1]
+    gbuffer, rotation = rasterise(scene), scene.description.lights.environment.rotation
+    for size in MAP_SIZES[:-1]:
+        averaged = replace(scene, environment=average(scene.source_map, *size, rotation))
+        error = TorchRenderer(averaged, gbuffer, tolerance="exact").plan.environment_map_error
+        if error is None or error <= tolerance:
+            return size
+    return MAP_SIZES[-1]
+
+
+def varied(renderer: Renderer, parameters: Mapping[str, Tensor], variation: Variation) -> Parameters:  # noqa: ARG001
+    """Returns the values [B, …] by group under a variation of the map's intensity: all light is scaled, also that which
+    is attacked in one channel.
+
+    The renderer can draw no other variation. Its normals belong to the pixels of one view, and it cannot turn the map,
+    since each texel of the group `illumination` keeps its colour.
+    """
+    return {
+        group: value * variation.intensity if group in LIGHT_GROUPS else value for group, value in parameters.items()
+    }

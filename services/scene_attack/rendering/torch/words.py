@@ -1,0 +1,241 @@
+"""Perturbations of the torch renderer's groups: in degrees and percent, in sentences, and as images.
+
+The images show the environment map, how normals tilt, and the curves of the lobes.
+"""
+
+from collections.abc import Iterator, Mapping
+from math import degrees
+
+import torch
+from torch import Tensor
+
+from scene_attack.rendering.physical_change import (
+    Change,
+    ChangeImage,
+    Curve,
+    PhysicalChange,
+    Worded,
+    from_zero,
+    number,
+    signed,
+)
+from scene_attack.rendering.protocol import Renderer
+from scene_attack.rendering.torch.dsbrdf import (
+    COSINE_FLOOR,
+    ILLUMINATION_MEAN,
+    MATERIAL_UNIT,
+    basis,
+    lobes,
+    reflectance,
+)
+from scene_attack.rendering.torch.light import LIGHT_GROUPS
+from scene_attack.rendering.torch.table import to_vectors
+from scene_attack.scenes.description import object_names
+from scene_attack.scenes.resolve import ResolvedScene
+
+CHANNELS = ("red", "green", "blue")
+
+
+def worded(scene: ResolvedScene, renderer: Renderer, perturbation: Mapping[str, Tensor]) -> list[Worded]:
+    """A perturbation of the renderer's initial values in words, by group and by channel of the map or object.
+
+    The images of the map are listed with its first change.
+    """
+    initial = renderer.initial()
+    result: list[Worded] = []
+    for group, change in perturbation.items():
+        if group == "normals":
+            result.append(normals(initial[group], change))
+        elif group in LIGHT_GROUPS:
+            first = not any(thing.change.group in LIGHT_GROUPS for thing in result)
+            images = images_of_map(*maps(initial, perturbation)) if first else []
+            result += light(group, change, images)
+        elif group == "material":
+            names = object_names(scene.description, scene.titles)
+            result += [material(k, name, initial[group][k], change[k]) for k, name in enumerate(names)]
+    return result
+
+
+def normals(initial: Tensor, change: Tensor) -> Worded:
+    """Angles by which the normals of angles [H, W, 2] turn, at the pixels that a surface covers."""
+    angles = tilts(initial, change)
+    typical, largest = sizes = _sizes("normals", "surface", angles[~angles.isnan()], "angle", "degrees")
+    most = f"{number(largest.value)}°"
+    tilted = Change(
+        group="normals",
+        subject="surface normals",
+        sentence=f"tilted by {number(typical.value)}° in the root mean square, {most} at most",
+        values=[from_zero(size, "surface normals") for size in sizes],
+        images=[ChangeImage(file="normals-tilt.png", words=f"tilt of the normals, from 0 (violet) to {most} (yellow)")],
+    )
+    return Worded(tilted, sizes)
+
+
+def light(group: str, change: Tensor, images: list[ChangeImage]) -> Iterator[Worded]:
+    """Changes of the environment map's texels [rows, cols], or of those of each channel [rows, cols, 3], in percent of
+    the map's mean intensity. `images` are listed with the first."""
+    channels = [""] if group == "illumination" else [f", {channel}" for channel in CHANNELS]
+    percent = 100 * change.double() / ILLUMINATION_MEAN
+    for channel, texels in zip(channels, percent.reshape(-1, len(channels)).unbind(-1), strict=True):
+        subject = f"environment map{channel}"
+        typical, largest = sizes = _sizes(group, f"map{channel}", texels, "texel", "% of its mean intensity")
+        change_of_channel = Change(
+            group=group,
+            subject=subject,
+            sentence=f"its texels changed by {number(typical.value)} {typical.unit} in the root mean square, "
+            f"{signed(largest.value)} % at most",
+            values=[from_zero(size, subject) for size in sizes],
+            images=images,
+        )
+        yield Worded(change_of_channel, sizes)
+        images = []
+
+
+def _sizes(group: str, subject: str, values: Tensor, thing: str, unit: str) -> list[PhysicalChange]:
+    """The root mean square of values [n], and the one that is furthest from 0."""
+    largest = float(values[values.abs().argmax()])
+    return [
+        PhysicalChange(group=group, subject=subject, measure=measure, value=value, unit=unit)
+        for measure, value in (
+            (f"root mean square of the {thing}s", float(values.square().mean().sqrt())),
+            (f"largest {thing}", largest),
+        )
+    ]
+
+
+def material(index: int, name: str, initial: Tensor, change: Tensor) -> Worded:
+    """A change of the material [3, 3, 2, 6] of an object, with the curves of its reflectance: the largest relative
+    changes of its lobes' κ and γ.
+
+    A Bernstein polynomial moves by no more than its coefficients, and they are logarithms.
+    """
+    subject, sizes = f"material of {name}", []
+    for symbol, coefficients in zip(("κ", "γ"), change.double().unbind(-2), strict=True):
+        # A third (−67 %) is further off than double (+100 %) as a logarithm, and less in percent.
+        percent = 100 * torch.expm1(coefficients.flatten() / MATERIAL_UNIT)
+        thing, largest = f"object {index} {symbol}", float(percent[percent.abs().argmax()])
+        sizes.append(PhysicalChange(group="material", subject=thing, measure="largest change", value=largest, unit="%"))
+    kappa, gamma = sizes
+    of_lobes = Change(
+        group="material",
+        subject=subject,
+        sentence=f"its lobes' κ changed by {signed(kappa.value)} % at most, their γ by {signed(gamma.value)} %",
+        values=[from_zero(kappa, f"{subject}, κ"), from_zero(gamma, f"{subject}, γ")],
+        curves=lobe_curves(initial, change),
+    )
+    return Worded(of_lobes, sizes)
+
+
+MAP_WIDTH = 512
+"""Width of the images of maps, pixels; each texel is a rectangle."""
+BRIGHT = 4.0
+"""Intensity, in means of the map, that is drawn white."""
+LEAST_RATIO = 0.01
+"""Smallest intensity in ratios, in means of the map; darker texels count as this."""
+LIGHT = 45.0
+"""Angle of incidence of the light of the lobes' curves, degrees."""
+VIEWERS = tuple(float(angle) for angle in range(-85, 90, 5))
+"""Angles from the normal at which they are evaluated, degrees; at +45° is the mirror direction."""
+GROUND = 128
+"""Value of pixels without a surface."""
+SCALE = torch.tensor([[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]], dtype=torch.float64)
+"""Five colours of viridis, from 0 to the largest value."""
+
+
+def drawn(renderer: Renderer, perturbation: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Images, uint8 [h, w, 3], by file name, of those groups that can be drawn."""
+    initial = renderer.initial()
+    images: dict[str, Tensor] = {}
+    if "normals" in perturbation:
+        images["normals-tilt.png"] = tilt_image(tilts(initial["normals"], perturbation["normals"]))
+    if any(group in perturbation for group in LIGHT_GROUPS):
+        before, after = maps(initial, perturbation)
+        images |= {"map-before.png": map_image(before), "map-after.png": map_image(after)}
+        images["map-ratio.png"] = ratio_image(stops(before, after))
+    return images
+
+
+def images_of_map(before: Tensor, after: Tensor) -> list[ChangeImage]:
+    """The images of a map whose intensities [rows, cols, 3] changed, with words that give their scales."""
+    largest = 2 ** float(stops(before, after).abs().max())
+    return [
+        ChangeImage(file="map-before.png", words="intensities of the environment map before"),
+        ChangeImage(file="map-after.png", words="and after"),
+        ChangeImage(
+            file="map-ratio.png",
+            words=f"after divided by before: red is brighter, blue darker; full colour is a factor of {largest:.3g}",
+        ),
+    ]
+
+
+def maps(initial: Mapping[str, Tensor], perturbation: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
+    """The map's intensities before and after, as `intensities` has them."""
+    changed = {group: initial[group] + perturbation[group] for group in LIGHT_GROUPS if group in perturbation}
+    return intensities(initial), intensities(dict(initial) | changed)
+
+
+def tilts(initial: Tensor, change: Tensor) -> Tensor:
+    """Angles [H, W], degrees, by which the normals of angles [H, W, 2] turn; NaN where there is no surface."""
+    before, after = to_vectors(initial.double()), to_vectors((initial + change).double())
+    angles = 2 * ((after - before).norm(dim=-1) / 2).clamp(max=1).asin()
+    return torch.where((initial != 0).any(dim=-1), angles * degrees(1), torch.nan)
+
+
+def tilt_image(angles: Tensor) -> Tensor:
+    """An image of angles [H, W], coloured from 0 to the largest; grey where they are NaN."""
+    largest = float(angles.nan_to_num().max()) or 1.0
+    place = angles.nan_to_num() / largest * (len(SCALE) - 1)
+    low = place.floor().clamp(0, len(SCALE) - 2).long()
+    part = (place - low)[..., None]
+    colours = SCALE[low] * (1 - part) + SCALE[low + 1] * part
+    return torch.where(angles.isnan()[..., None], float(GROUND), colours).round().to(torch.uint8)
+
+
+def intensities(values: Mapping[str, Tensor]) -> Tensor:
+    """A map's intensities by channel [rows, cols, 3], of values of the groups, in means of the unperturbed map."""
+    intensity = values["illumination"].double()[..., None].expand(-1, -1, 3)
+    if "illumination_rgb" in values:
+        intensity = intensity + values["illumination_rgb"].double()
+    return intensity / ILLUMINATION_MEAN
+
+
+def map_image(intensity: Tensor) -> Tensor:
+    """An image of intensities [rows, cols, 3], in means; each texel is a rectangle."""
+    shown = (intensity / BRIGHT).clamp(0, 1) ** (1 / 2.2)
+    return _enlarged((255 * shown).round().to(torch.uint8))
+
+
+def stops(before: Tensor, after: Tensor) -> Tensor:
+    """The mean over the channels of log₂(after / before) [rows, cols]; dark texels count as `LEAST_RATIO`."""
+    return (after.clamp_min(LEAST_RATIO) / before.clamp_min(LEAST_RATIO)).log2().mean(dim=-1)
+
+
+def ratio_image(ratios: Tensor) -> Tensor:
+    """An image of logarithms of ratios [rows, cols]: white 0, red above, blue below, full at the largest."""
+    part = ratios / (float(ratios.abs().max()) or 1.0)
+    red, blue = 1 - part.clamp(max=0).abs(), 1 - part.clamp(min=0)
+    return _enlarged((255 * torch.stack([red, torch.minimum(red, blue), blue], dim=-1)).round().to(torch.uint8))
+
+
+def _enlarged(image: Tensor) -> Tensor:
+    times = max(1, MAP_WIDTH // image.shape[1])
+    return image.repeat_interleave(times, dim=0).repeat_interleave(times, dim=1)
+
+
+def lobe_curves(initial: Tensor, change: Tensor) -> list[Curve]:
+    """The reflectance of a material [3, 3, 2, 6] before and after a change, by channel, at `VIEWERS` for light at
+    `LIGHT` in the plane of incidence, in 1/steradian."""
+    before, after = reflectances(initial), reflectances(initial + change)
+    return [
+        Curve(name=channel, angles=list(VIEWERS), before=before[k].tolist(), after=after[k].tolist())
+        for k, channel in enumerate(CHANNELS)
+    ]
+
+
+def reflectances(material: Tensor) -> Tensor:
+    """Reflectance [3, viewers] of a material's coordinates [3, 3, 2, 6]."""
+    viewers = torch.tensor(VIEWERS, dtype=torch.float64).deg2rad()
+    light = torch.tensor(LIGHT, dtype=torch.float64).deg2rad()
+    theta_h, theta_d = (viewers - light).abs() / 2, (viewers + light).abs() / 2
+    log_kappa, gamma = lobes(material.double() / MATERIAL_UNIT, basis(theta_d))
+    return reflectance(theta_h.cos().clamp_min(COSINE_FLOOR).log(), log_kappa, gamma).sum(dim=1)

@@ -1,0 +1,424 @@
+"""The request of a campaign: grids of scenes × targets × attacks × seeds, or a list of jobs.
+
+It is the same JSON for `POST /v1/campaigns` and `scene-attack campaign run`. The scenes of a grid are listed, or are
+meshes × views with one object each, or are scenes after CLEVR with generated questions. This module does not import
+torch.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import zip_longest
+from math import pi
+from random import Random
+from typing import Annotated, Any, Literal, Self, TypeVar, get_args
+
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Field,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
+
+from scene_attack.analysis.records import AnalysisRequest
+from scene_attack.attacks.attack import Attack
+from scene_attack.attacks.request import Seed
+from scene_attack.errors import InvalidRequest, below
+from scene_attack.rendering.plan import DEFAULT_TOLERANCE
+from scene_attack.runs.spec import (
+    MOST_TOGETHER,
+    AnyAttack,
+    AnyTolerance,
+    Goal,
+    JobSpec,
+    TargetChoice,
+    check_labels,
+    parsed,
+    with_method,
+)
+from scene_attack.scenes import furniture
+from scene_attack.scenes.description import Angle, Camera, Colour, Lights, Model, Pixels, Scene, SceneObject, absent
+from scene_attack.strict import Names, reference
+from scene_attack.text import line, there_are
+from scene_attack_questions.clevr.description import describe
+from scene_attack_questions.clevr.generator import MAX_OBJECTS, MIN_OBJECTS, generate
+from scene_attack_questions.clevr.records import IMAGE_SIZE, SceneRecord
+from scene_attack_questions.families import FAMILIES, Kind
+from scene_attack_questions.generator import QuestionGenerator, QuestionRecord
+
+MAX_LISTED = 20_000
+"""Largest number of scenes, meshes or jobs that a campaign may list."""
+
+Listed = TypeVar("Listed")
+
+
+def once(value: tuple[Listed, ...]) -> tuple[Listed, ...]:
+    """The list itself. Raises ValueError if an entry comes twice: its jobs would count as so many cases."""
+    seen: dict[Listed, int] = {}
+    for index, entry in enumerate(value):
+        if seen.setdefault(entry, index) != index:
+            raise ValueError(f"{index}: is the same as entry {seen[entry]}; the same job is one case, list it once")
+    return value
+
+
+class RandomViews(Model):
+    """Azimuths drawn uniformly from [0, π), as the paper's, for each mesh its own."""
+
+    random: Annotated[int, Field(ge=1, le=1000)] = Field(description="number of azimuths of each mesh")
+    seed: Seed = Field(0, description="seed of the azimuths; those of a mesh do not depend on the other meshes")
+
+
+class SceneGrid(Model):
+    """One object per scene: meshes × azimuths. All scenes have the same camera, lights, ground and material."""
+
+    meshes: tuple[Annotated[str, Field(min_length=1, max_length=200), reference("mesh")], ...] = Field(
+        (), max_length=MAX_LISTED, description="names of meshes"
+    )
+    kinds: tuple[str, ...] = Field(
+        (), max_length=100, description="kinds of library furniture, all meshes of which are added"
+    )
+    per_kind: Annotated[int, Field(ge=1, le=1000)] | None = Field(
+        None, description="only the first so many meshes of each kind; null: all"
+    )
+    views: RandomViews | Annotated[tuple[Angle, ...], Field(min_length=1, max_length=1000)] = Field(
+        (Camera().azimuth,), description="azimuths in radians, or how many to draw at random"
+    )
+    material: Annotated[str, reference("material")] = Field(
+        "matte", max_length=64, description="DSBRDF preset of the torch renderer"
+    )
+    camera: Camera = Field(Camera(), description="the camera, whose azimuth the views replace")
+    lights: Lights = Lights()
+    ground: Colour = Scene.model_fields["ground"].default
+
+    @field_validator("kinds")
+    @classmethod
+    def _known_kinds(cls, value: tuple[str, ...]) -> tuple[str, ...]:
+        for kind in value:
+            if kind not in furniture.kinds():
+                raise ValueError(f"there is no kind {kind!r}; {there_are(kind, furniture.kinds())}")
+        return value
+
+    @field_validator("views")
+    @classmethod
+    def _each_once(cls, value: RandomViews | tuple[float, ...]) -> RandomViews | tuple[float, ...]:
+        return value if isinstance(value, RandomViews) else once(value)
+
+    @model_validator(mode="after")
+    def _some_meshes(self) -> Self:
+        if not self.meshes and not self.kinds:
+            raise ValueError("meshes: name at least one mesh, or a kind in `kinds`")
+        return self
+
+    def mesh_names(self) -> tuple[str, ...]:
+        """The names of all meshes, each once: those listed, then those of the kinds, taking turns between kinds."""
+        of_kinds = [furniture.kinds()[kind][: self.per_kind] for kind in self.kinds]
+        turns = (mesh for turn in zip_longest(*of_kinds) for mesh in turn if mesh is not None)
+        return tuple(dict.fromkeys((*self.meshes, *turns)))
+
+    def azimuths(self, mesh: str) -> tuple[float, ...]:
+        """The azimuths of a mesh's views."""
+        if not isinstance(self.views, RandomViews):
+            return self.views
+        draw = Random(f"{self.views.seed} {mesh}").random  # a text seeds the same generator on every machine
+        return tuple(pi * draw() for _ in range(self.views.random))
+
+    def count(self) -> int:
+        """The number of scenes, without making them."""
+        names = self.mesh_names()
+        return len(names) * len(self.azimuths(names[0]))
+
+    def scenes(self) -> tuple[Scene, ...]:
+        """The first view of every mesh, then the second of every mesh, and so on: a part of them has all kinds."""
+        columns = [[self._scene(mesh, azimuth) for azimuth in self.azimuths(mesh)] for mesh in self.mesh_names()]
+        return tuple(scene for row in zip(*columns, strict=True) for scene in row)
+
+    def _scene(self, mesh: str, azimuth: float) -> Scene:
+        return Scene(
+            camera=self.camera.model_copy(update={"azimuth": azimuth}),
+            objects=(SceneObject(mesh=mesh, material=self.material),),
+            lights=self.lights,
+            ground=self.ground,
+        )
+
+
+MAX_IMAGES = 2000
+"""Largest number of scenes of a grid with questions; each takes a few milliseconds to make."""
+KINDS: tuple[str, ...] = get_args(Kind)
+
+Count = Annotated[int, Field(ge=1, le=MAX_OBJECTS)]
+
+
+@dataclass(frozen=True)
+class Member:
+    """A scene of a grid, and the questions that a job asks about it; a scene without questions has no record."""
+
+    scene: Scene
+    record: SceneRecord | None = None
+    questions: tuple[QuestionRecord, ...] = ()
+
+
+class QuestionGrid(Model):
+    """Scenes after CLEVR, and questions about them. Each question is a case of its own, or those of a scene together.
+
+    They follow from this request alone, on every machine.
+    """
+
+    images: Annotated[int, Field(ge=1, le=MAX_IMAGES)] = Field(description="number of scenes")
+    seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = Field(0, description="seed of the scenes")
+    first: Annotated[int, Field(ge=0, le=2**62)] = Field(
+        0, description="number of the first scene among those of the seed; the others follow it"
+    )
+    objects: tuple[Count, Count] = Field(
+        (MIN_OBJECTS, MAX_OBJECTS), description="fewest and most objects of a scene, between which each is drawn"
+    )
+    questions: Annotated[int, Field(ge=1, le=MOST_TOGETHER)] = Field(
+        1, description="number of questions about each scene, of different families"
+    )
+    question_seed: Seed = Field(0, description="seed of the questions")
+    kinds: tuple[str, ...] = Field((), max_length=len(KINDS), description="kinds of question families; empty: all")
+    together: bool = Field(
+        False, description="attack the questions about a scene together, in one job; else each in one of its own"
+    )
+    size: tuple[Pixels, Pixels] = Field(IMAGE_SIZE, description="height and width of the images, pixels")
+    shadows: bool = Field(True, description="draw shadows")
+
+    @field_validator("objects")
+    @classmethod
+    def _in_order(cls, value: tuple[int, int]) -> tuple[int, int]:
+        if value[0] > value[1]:
+            raise ValueError(f"the fewest, {value[0]}, are more than the most, {value[1]}")
+        return value
+
+    @field_validator("kinds")
+    @classmethod
+    def _known_kinds(cls, value: tuple[str, ...]) -> tuple[str, ...]:
+        for index, kind in enumerate(value):
+            if kind not in KINDS:
+                raise ValueError(f"{index}: there is no kind {kind!r}; {there_are(kind, KINDS)}")
+        return value
+
+    @model_validator(mode="after")
+    def _several_together(self) -> Self:
+        if self.together and self.questions == 1:
+            raise ValueError("together: there is one question about each scene; leave it out, or ask several")
+        return self
+
+    def count(self) -> int:
+        """Returns the largest number of members that there may be, without making them."""
+        return self.images * (1 if self.together else self.questions)
+
+    def members(self) -> tuple[Member, ...]:
+        """Returns all scenes with their questions, in order. Raises InvalidRequest for objects that do not fit."""
+        return _members(self)
+
+    def sample(self) -> Member:
+        """Returns the first scene, with one question about it.
+
+        Raises InvalidRequest as `members` does, and if no such question can be asked about this scene.
+        """
+        single = self.model_copy(update={"images": 1, "together": False})
+        member = next(_made(single), None)
+        if member is None:
+            raise InvalidRequest("generate.kinds", "no such question can be asked about the first scene")
+        return member
+
+
+@lru_cache(maxsize=4)
+def _members(grid: QuestionGrid) -> tuple[Member, ...]:
+    return tuple(_made(grid))
+
+
+def _made(grid: QuestionGrid) -> Iterator[Member]:
+    families = [family for family in FAMILIES if not grid.kinds or family.kind in grid.kinds]
+    asking = QuestionGenerator(grid.question_seed, families)
+    for index in range(grid.first, grid.first + grid.images):
+        with below("generate"):
+            record = generate(grid.seed, index, objects=grid.objects)
+        scene = describe(record, grid.size)
+        if not grid.shadows:
+            scene = scene.model_copy(update={"shadows": None})
+        questions = tuple(asking.ask(record, grid.questions))
+        if not grid.together:
+            yield from (Member(scene, record, (question,)) for question in questions)
+        elif len(questions) == grid.questions:  # a scene about which so many cannot be asked is left out
+            yield Member(scene, record, questions)
+
+
+MOST_GENERATED = 200
+"""Jobs in a list whose scenes are to be generated, 10 ms each before the answer; a grid's are made afterwards."""
+
+
+Name = Annotated[str, Field(min_length=1, max_length=100), AfterValidator(line)]
+
+
+def _confident(value: object) -> bool:
+    """Whether it is the default from before there was a choice, which a stored request leaves out."""
+    return value == "confident"
+
+
+class Selection(Model):
+    """The views that are attacked: those whose first answer is right, and of these the preferred ones."""
+
+    right: bool = Field(True, description="only views whose truth is known and whose first answer is right")
+    least_confidence: Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)] = Field(
+        0.0, description="least probability of the first answer"
+    )
+    per_mesh: Annotated[int, Field(ge=1)] | None = Field(
+        None, description="the most confident so many views of each mesh; null: all"
+    )
+    per_class: Annotated[int, Field(ge=1)] | None = Field(
+        None, description="the most confident so many views of each class (views of the same truth); null: all"
+    )
+    most: Annotated[int, Field(ge=1)] | None = Field(
+        None, description="the most confident so many views of all that are left; null: all"
+    )
+    shared: bool = Field(
+        False,
+        description="attack the same views of every target of the grid, as in the paper: the rules hold for all of "
+        "them, and the most confident are those of the grid's first target",
+    )
+    prefer: Literal["confident", "listed"] = Field(
+        "confident",
+        exclude_if=_confident,
+        description="which views the rules that limit their number take: the most confident, as the paper takes views "
+        "of objects, or those listed first; the paper draws its images with questions at random",
+    )
+
+
+class Column(Model):
+    """An attack of a campaign, which is a column of its table."""
+
+    name: Name = Field(description="name of the column")
+    attack: AnyAttack
+
+    @field_validator("attack", mode="before")
+    @classmethod
+    def _method(cls, data: Any) -> Any:
+        return with_method(data)
+
+
+def _by_name(target: Any) -> Any:
+    return {"name": target} if isinstance(target, str) else target
+
+
+NamedTarget = Annotated[TargetChoice, BeforeValidator(_by_name, json_schema_input_type=str | TargetChoice)]
+
+
+class Grid(Model):
+    """All combinations of scenes, targets, attacks and seeds."""
+
+    scenes: SceneGrid | Annotated[tuple[Scene, ...], Field(min_length=1, max_length=MAX_LISTED)] | None = Field(
+        None, exclude_if=absent, description="scenes, or meshes and views to make them of"
+    )
+    generate: QuestionGrid | None = Field(
+        None, exclude_if=absent, description="in place of `scenes`: scenes after CLEVR, and questions about each"
+    )
+    targets: tuple[NamedTarget, ...] = Field(
+        (TargetChoice(),),
+        min_length=1,
+        max_length=32,
+        description="the networks; each is a row of the table; one that takes no question may be written as its name",
+    )
+    attacks: tuple[Column, ...] = Field(min_length=1, max_length=64)
+    seeds: tuple[Seed, ...] = Field((0,), min_length=1, max_length=1000)
+    goal: Goal = Field(Goal(), description="the goal of every job; the truth is each scene's own")
+    tolerance: AnyTolerance = DEFAULT_TOLERANCE
+    analysis: AnalysisRequest = Field(AnalysisRequest(), description="analyses to make after each attack; default none")
+    selection: Selection = Field(Selection(), description="which views are attacked")
+
+    @field_validator("goal")
+    @classmethod
+    def _known_labels(cls, value: Goal, info: ValidationInfo) -> Goal:
+        if info.context:
+            check_labels(value, info.data.get("targets", ()))
+        return value
+
+    @field_validator("attacks")
+    @classmethod
+    def _different_names(cls, value: tuple[Column, ...]) -> tuple[Column, ...]:
+        names = [column.name for column in value]
+        for index, name in enumerate(names):
+            if name in names[:index]:
+                raise ValueError(f"{index}.name: there is a column {name!r} already")
+        return value
+
+    @field_validator("scenes", "targets", "seeds")
+    @classmethod
+    def _each_once(cls, value: SceneGrid | tuple[Any, ...] | None) -> SceneGrid | tuple[Any, ...] | None:
+        return once(value) if isinstance(value, tuple) else value
+
+    @model_validator(mode="after")
+    def _scenes_or_questions(self) -> Self:
+        if self.scenes is None and self.generate is None:
+            raise ValueError("scenes: is required, or `generate` in its place")
+        if self.scenes is not None and self.generate is not None:
+            raise ValueError("generate: leave it out where `scenes` is given")
+        for index, target in enumerate(self.targets):
+            if self.generate is not None and (target.question is not None or target.questions):
+                raise ValueError(f"targets.{index}: leave its question out; those of `generate` are asked")
+        return self
+
+    def members(self) -> tuple[Member, ...]:
+        """All scenes, in order, with the questions that are asked about them."""
+        if self.generate is not None:
+            return self.generate.members()
+        scenes = self.scenes.scenes() if isinstance(self.scenes, SceneGrid) else self.scenes
+        return tuple(map(Member, scenes or ()))
+
+    def sample(self) -> Member:
+        """The first scene, with one question if questions are asked."""
+        return self.members()[0] if self.generate is None else self.generate.sample()
+
+    def count(self) -> int:
+        """The largest number of members that there may be, without making them."""
+        if self.generate is not None:
+            return self.generate.count()
+        return self.scenes.count() if isinstance(self.scenes, SceneGrid) else len(self.scenes or ())
+
+
+class CampaignSpec(Model):
+    """Many attacks that belong together: grids, single jobs, or both."""
+
+    name: Name = "campaign"
+    grids: tuple[Grid, ...] = Field((), max_length=32)
+    jobs: tuple[JobSpec, ...] = Field((), max_length=MAX_LISTED, description="jobs that are run as they are")
+    reuse: bool = Field(
+        True, description="take the result of an earlier job with the same request, backend, weights and versions"
+    )
+
+    @field_validator("jobs", mode="before")
+    @classmethod
+    def _few_generated(cls, data: Any) -> Any:
+        listed = data if isinstance(data, list | tuple) else ()
+        count = sum(isinstance(item, dict) and item.get("generate") is not None for item in listed)
+        if count > MOST_GENERATED:
+            raise ValueError(
+                f"{count:,} jobs have `generate`, and {MOST_GENERATED} may; use `generate` of a grid for more"
+            )
+        return data
+
+    @model_validator(mode="after")
+    def _something(self) -> Self:
+        if not self.grids and not self.jobs:
+            raise ValueError("grids: a campaign needs a grid, or jobs")
+        return self
+
+    @model_validator(mode="after")
+    def _one_attack_in_a_cell(self) -> Self:
+        cells: dict[tuple[str, str], Attack] = {}
+        for g, grid in enumerate(self.grids):
+            for c, column in enumerate(grid.attacks):
+                for target in grid.targets:
+                    if cells.setdefault((target.name, column.name), column.attack) != column.attack:
+                        raise ValueError(
+                            f"grids.{g}.attacks.{c}.name: an earlier grid has a column {column.name!r} for "
+                            f"{target.name} with another attack; give them two names, they would become one mean"
+                        )
+        return self
+
+
+def parse(data: object, names: Names | None = None) -> CampaignSpec:
+    """Parses JSON data into a spec, as `spec.parsed` does."""
+    return parsed(CampaignSpec, data, names)

@@ -1,0 +1,391 @@
+"""The questions of a job: their programs, their right answers by the scene's record, the goal, and their results.
+
+Several questions about one image are attacked together, as a network of two answers (`Together`).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import isclose
+from pathlib import Path
+
+import torch
+from safetensors.torch import save_file
+from torch import Tensor
+
+from scene_attack.analysis.images import answer as answer_to
+from scene_attack.analysis.images import save_png
+from scene_attack.analysis.subsets import ScoredImage
+from scene_attack.analysis.verdict import SUCCESS, Verdict, judge
+from scene_attack.attacks.goal import ResolvedGoal
+from scene_attack.errors import InvalidRequest
+from scene_attack.rendering.color import from_bytes
+from scene_attack.rendering.protocol import Parameters
+from scene_attack.rendering.pyrender.declaration import PYRENDER
+from scene_attack.runs.described import can_carry, described
+from scene_attack.runs.goals import Classification, Settled
+from scene_attack.runs.result import ATTENTION, Asked, Attended, FirstAnswer, QuestionResult
+from scene_attack.runs.scene_limits import SceneLimits
+from scene_attack.runs.spec import Call, Goal, JobSpec, asked_goal
+from scene_attack.scenes.description import Camera, Scene, SceneObject
+from scene_attack.targets import registry
+from scene_attack.targets.protocol import ProgramTarget, Target
+from scene_attack_questions.clevr.description import record_after, scene_of
+from scene_attack_questions.clevr.records import IMAGE_SIZE, SceneRecord
+from scene_attack_questions.executor import ANSWERS, KINDS, Facts, IllPosed, answer, kind_asked
+from scene_attack_questions.program import InvalidProgram, Program, Type, program_in
+from scene_attack_questions.text import difference
+
+FIELD = "target.question"
+PROPORTION = 0.01
+"""Largest relative difference of an image's proportions from those of CLEVR's."""
+ROUNDING = 1e-6
+"""Largest difference between a scene and the one that follows from its record, for a record that was described on
+another machine, whose trigonometric functions round differently."""
+
+SCALE = 16
+"""Pixels of an attention image for each side of a cell."""
+TOGETHER_LABELS = ("an answer stays", "all answers have left")
+
+
+@dataclass(frozen=True)
+class AskedQuestion:
+    """A question about a scene after CLEVR.
+
+    field: its path in the request. words: None if its program was given. asked: the text that the target is given.
+    kind: of the answers that the program asks for. right: the right answer.
+    """
+
+    field: str
+    words: str | None
+    asked: str
+    program: Program
+    kind: Type
+    right: str
+    record: SceneRecord
+    scene: Scene
+
+    def stated(self) -> Asked:
+        """Returns the question as plans and results state it."""
+        return Asked(question=self.words, program=self.program.written(), kind=self.kind, right=self.right)
+
+    def right_after(self, renderer: str, perturbation: Parameters) -> str | None:
+        """Returns the right answer to the attacked scene; None if the question is ill-posed there."""
+        if not can_carry(renderer, tuple(perturbation)):
+            return self.right
+        scene, _, _ = described(self.scene, renderer, perturbation)
+        try:
+            return answer(self.program, Facts.of(record_after(self.record, scene)))
+        except IllPosed:
+            return None
+
+
+class QuestionTask:
+    """Questions about a scene after CLEVR, whose right answers follow from its record. Its methods are those of
+    `Classification`.
+
+    One is attacked as a classification of answers, several are attacked together.
+    """
+
+    target: Target
+
+    def __init__(self, network: ProgramTarget, questions: Sequence[AskedQuestion], spec: JobSpec) -> None:
+        """Raises InvalidRequest as `goal_of` and `goals_together` do."""
+        self._network, self._questions, self._goal = network, tuple(questions), spec.goal
+        self._texts = [question.asked for question in questions]
+        self._alone: Classification | None = None
+        self._goals: tuple[ResolvedGoal, ...] = ()
+        if spec.target.questions:
+            self._goals = goals_together(spec.goal, questions)
+            self.target = Together(network, self._texts, self._goals)
+        else:
+            goal = asked_goal(goal_of(spec.goal, questions[0]), registry.card(network.name), network.labels)
+            self.target = network.asked(self._texts[0])
+            self._alone = Classification(self.target, goal, (), None)
+
+    @torch.no_grad()
+    def settle(self, original: Tensor, logits: Tensor) -> Settled:
+        """As `Classification.settle` does for one question.
+
+        Raises InvalidRequest ("target.questions.1") for one of several that the network gets wrong, as there is nothing
+        to attack.
+        """
+        if self._alone is not None:
+            return self._alone.settle(original, logits)
+        for question, best in zip(self._questions, self._scores(original).argmax(dim=1).tolist(), strict=True):
+            if ANSWERS[best] != question.right:
+                raise InvalidRequest(
+                    question.field,
+                    f"the network gets it wrong before the attack: it says {ANSWERS[best]!r}, not {question.right!r}; "
+                    "leave it out",
+                )
+        return Settled(self._goal, ResolvedGoal((0,), None), (0,), ())
+
+    def constraint(self, renderer: str, initial: Parameters) -> SceneLimits | None:
+        """That the questions find the same in the scene; None for a renderer that moves no object."""
+        if renderer != PYRENDER.name:
+            return None
+        programs, first = [question.program for question in self._questions], self._questions[0]
+        return SceneLimits(programs, first.record, first.scene, renderer, initial)
+
+    def stated(self) -> tuple[Asked, ...]:
+        """The questions with their programs and right answers."""
+        return tuple(question.stated() for question in self._questions)
+
+    @torch.no_grad()
+    def first_answers(self, original: Tensor, logits: Tensor, goal: ResolvedGoal) -> tuple[FirstAnswer, ...]:  # noqa: ARG002 - the protocol's
+        """The answer to each question."""
+        scores = self._scores(original)
+        return tuple(
+            FirstAnswer(question=question.words or question.asked, answer=answer_to(scores[number], ANSWERS, own))
+            for number, (question, own) in enumerate(zip(self._questions, self._goals or (goal,), strict=True))
+        )
+
+    @torch.no_grad()
+    def judge(
+        self, settled: Settled, renderer: str, stored: Parameters, before: ScoredImage, after: ScoredImage, out: Path
+    ) -> tuple[Verdict, list[QuestionResult]]:
+        """Each question by its right answers before and after; writes the files of attention into `out`."""
+        # One image at a time, as in the verdict: no other image changes bits.
+        ends = [from_bytes(image)[None] for image in (before.saved, after.saved)]
+        scores = [self._network.answers(end, self._texts)[0] for end in ends]
+        masks: dict[str, Tensor] = {}
+        results = []
+        for number, (question, goal) in enumerate(zip(self._questions, self._goals or (settled.goal,), strict=True)):
+            first, last = (answer_to(of[number], ANSWERS, goal) for of in scores)
+            right_after = question.right_after(renderer, stored)
+            results.append(
+                QuestionResult(
+                    **question.stated().model_dump(),
+                    right_after=right_after,
+                    before=first,
+                    after=last,
+                    before_of_kind=first.label in KINDS[question.kind],
+                    after_of_kind=last.label in KINDS[question.kind],
+                    outcome=judge(
+                        (question.right,),
+                        first.label,
+                        last.label,
+                        bool(goal.fooled(scores[1][number])),
+                        () if right_after is None else (right_after,),
+                    ),
+                    attention=_attended(number, question, self._network, ends, masks, out),
+                )
+            )
+        save_file(masks, out / ATTENTION)
+        return outcome_of(results), results
+
+    def _scores(self, image: Tensor) -> Tensor:
+        """The scores [Q, 28] of all questions to an image, uint8 [H, W, 3]."""
+        return self._network.answers(from_bytes(image)[None], self._texts)[0]
+
+
+def asked_questions(spec: JobSpec, network: ProgramTarget) -> tuple[AskedQuestion, ...]:
+    """Returns the questions of a job.
+
+    Raises InvalidRequest for a question outside the language, an invalid program, and an ill-posed question
+    ("target.question"), and for a scene that has no record ("record").
+    """
+    choice = spec.target
+    entries: list[tuple[str, str | tuple[Call, ...], str]] = []
+    if choice.question is not None and choice.asked is not None:
+        entries.append((FIELD, choice.question, choice.asked))
+    for number, (question, asked) in enumerate(zip(choice.questions, choice.together, strict=True)):
+        entries.append((f"{FIELD}s.{number}", question, asked))
+    programs = [_program(network, asked, field) for field, _, asked in entries]
+    if spec.record is None:
+        raise InvalidRequest(
+            "record", f"{network.name} is asked about scenes after CLEVR; give the scene as `record` or `generate`"
+        )
+    return tuple(
+        AskedQuestion(
+            field=field,
+            words=question if isinstance(question, str) else None,
+            asked=asked,
+            program=program,
+            kind=kind_asked(program),
+            right=_right(program, spec.record, field, question),
+            record=spec.record,
+            scene=spec.scene,
+        )
+        for (field, question, asked), program in zip(entries, programs, strict=True)
+    )
+
+
+def goal_of(goal: Goal, question: AskedQuestion) -> Goal:
+    """Returns the goal of a request with the truth of its question, and the labels of the kind if these are to be left.
+
+    Raises InvalidRequest for a truth that is not the question's, and for a label to leave beside a kind.
+    """
+    if goal.truth is not None and _names(goal.truth) != {question.right}:
+        raise InvalidRequest(
+            "goal.truth", f"the right answer is {question.right!r}, by the scene's record; leave it out"
+        )
+    goal = goal.model_copy(update={"truth": question.right})
+    if not goal.leave_kind:
+        return goal
+    if goal.leave is not None and _names(goal.leave) != set(KINDS[question.kind]):
+        raise InvalidRequest("goal.leave", f"all answers of the kind {question.kind} are to be left; leave it out")
+    return goal.model_copy(update={"leave": KINDS[question.kind]})
+
+
+def _names(labels: object) -> set[object]:
+    listed = labels if isinstance(labels, tuple) else (labels,)
+    return {ANSWERS[label] if isinstance(label, int) and label < len(ANSWERS) else label for label in listed}
+
+
+def _program(target: ProgramTarget, asked: str, field: str) -> Program:
+    try:
+        program = target.program(asked)
+        other = None if program_in(asked) is not None else difference(asked, program)
+        if other is not None:
+            detail = f"the program made of it asks something else: {other}"
+            raise InvalidRequest("question", f"{detail}; word it as CLEVR's questions are, or give its program")
+    except InvalidProgram as error:
+        raise InvalidRequest(field if error.node is None else f"{field}.{error.node}", error.detail) from error
+    except InvalidRequest as error:
+        raise InvalidRequest(field, error.detail) from error
+    return program
+
+
+def _right(program: Program, record: SceneRecord, field: str, question: object) -> str:
+    try:
+        return answer(program, Facts.of(record))
+    except IllPosed as error:
+        raise InvalidRequest(f"{field}.{error.node}" if isinstance(question, tuple) else field, error.detail) from error
+    except InvalidRequest as error:
+        raise InvalidRequest(field, error.detail) from error
+
+
+def check_scene(scene: Scene, record: SceneRecord) -> None:
+    """Checks a scene that is given beside its record.
+
+    Raises InvalidRequest("scene") unless objects and camera are those of the record, and as `scene_of` does.
+    Raises InvalidRequest("scene.camera.size") for an image of other proportions, whose frame would be another.
+    """
+    due = scene_of(record)
+    same = len(scene.objects) == len(due.objects) and all(
+        _is_same(thing, other) for thing, other in zip(scene.objects, due.objects, strict=True)
+    )
+    if not same or not _is_seen_from(scene.camera, due.camera):
+        raise InvalidRequest("scene", "its objects and camera are not those of `record`; leave it out")
+    rows, columns = scene.camera.size
+    if not isclose(rows / columns, IMAGE_SIZE[0] / IMAGE_SIZE[1], rel_tol=PROPORTION):
+        raise InvalidRequest(
+            "scene.camera.size", f"{rows}×{columns} has not the proportions of CLEVR's images, 3 to 4, as 240×320 has"
+        )
+    if Facts.of(record_after(record, scene)) != Facts.of(record):
+        raise InvalidRequest("record", "its attributes and relations are not those of its objects")
+
+
+def _is_same(thing: SceneObject, other: SceneObject) -> bool:
+    fields = ("mesh", "material", "metallic", "roughness")
+    vectors = ("color", "translation", "rotation")
+    return (
+        all(getattr(thing, name) == getattr(other, name) for name in fields)
+        and isclose(thing.scale, other.scale, abs_tol=ROUNDING)
+        and all(
+            isclose(a, b, abs_tol=ROUNDING)
+            for name in vectors
+            for a, b in zip(getattr(thing, name), getattr(other, name), strict=True)
+        )
+    )
+
+
+def _is_seen_from(camera: Camera, other: Camera) -> bool:
+    places = ("azimuth", "elevation", "distance", "field_of_view")
+    return all(isclose(getattr(camera, name), getattr(other, name), abs_tol=ROUNDING) for name in places)
+
+
+class Together:
+    """A target of two labels for questions with a goal each; implements `Target`.
+
+    Its first label says that the answer to one of the questions still is as it was, its second that the goal of every
+    question is met. The difference of their scores is the largest advantage of a question (`ResolvedGoal.advantage`),
+    that of the question that is hardest at present. So every attack, the verifier and the trace work on it as on any
+    network.
+    """
+
+    labels = TOGETHER_LABELS
+    takes_question = False
+
+    def __init__(self, target: ProgramTarget, asked: Sequence[str], goals: Sequence[ResolvedGoal]) -> None:
+        self.name, self.input_size = target.name, target.input_size
+        self.differentiable, self.weights_sha256 = target.differentiable, target.weights_sha256
+        self._target, self._asked, self._goals = target, tuple(asked), tuple(goals)
+
+    @property
+    def backend(self) -> str:
+        """That of the network."""
+        return self._target.backend
+
+    def logits(self, images: Tensor) -> Tensor:
+        """Returns scores [B, 2] of images [B, H, W, 3] in [0,1]; see `Target.logits`."""
+        scores = self._target.answers(images, self._asked)
+        advantages = [goal.advantage(scores[:, number]) for number, goal in enumerate(self._goals)]
+        hardest = torch.stack(advantages).amax(dim=0)
+        return torch.stack([hardest / 2, -hardest / 2], dim=1)
+
+
+def goals_together(goal: Goal, questions: Sequence[AskedQuestion]) -> tuple[ResolvedGoal, ...]:
+    """Returns the goal of each question: to leave its right answer, or the kind of answers.
+
+    Raises InvalidRequest for a goal that names labels, which would be those of one question.
+    """
+    for name in ("truth", "leave", "reach"):
+        if getattr(goal, name) is not None:
+            raise InvalidRequest(f"goal.{name}", "several questions have answers of their own; leave it out")
+    return tuple(
+        ResolvedGoal(
+            tuple(ANSWERS.index(label) for label in (KINDS[question.kind] if goal.leave_kind else (question.right,))),
+            None,
+            goal.least_confidence,
+        )
+        for question in questions
+    )
+
+
+def outcome_of(questions: Sequence[QuestionResult]) -> Verdict:
+    """Returns the outcome of a job with questions: that of its only one; of several, which all were right before,
+    "fooled" if each is.
+    """
+    if len(questions) == 1:
+        return questions[0].outcome
+    return SUCCESS if all(question.outcome == SUCCESS for question in questions) else "held"
+
+
+def _attended(
+    number: int,
+    question: AskedQuestion,
+    target: ProgramTarget,
+    ends: Sequence[Tensor],
+    masks: dict[str, Tensor],
+    out: Path,
+) -> list[Attended]:
+    """Writes the images of a question's attention, and adds its masks to `masks`."""
+    results = []
+    both = [target.attention(end, question.asked) for end in ends]
+    for node, (before, after) in enumerate(zip(*both, strict=True)):
+        if before is None or after is None:
+            continue
+        names = [f"attention-{number}-{node:02}-{when}.png" for when in ("before", "after")]
+        for name, when, mask in zip(names, ("before", "after"), (before[0], after[0]), strict=True):
+            masks[f"{number}.{node}.{when}"] = mask.contiguous()
+            save_png(_grey(mask), out / name)
+        change = (after[0].double() - before[0].double()).abs()
+        results.append(
+            Attended(
+                node=node,
+                before=names[0],
+                after=names[1],
+                change=float(change.sum()),
+                cell_change=float(change.max()),
+            )
+        )
+    return results
+
+
+def _grey(mask: Tensor) -> Tensor:
+    """Returns a mask [h, w] as a grey image, uint8 [16 h, 16 w, 3]."""
+    grey = (255 * mask.clamp(0, 1)).round().to(torch.uint8)
+    large = grey.repeat_interleave(SCALE, dim=0).repeat_interleave(SCALE, dim=1)
+    return large[..., None].expand(-1, -1, 3).contiguous()

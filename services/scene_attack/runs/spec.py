@@ -1,0 +1,581 @@
+"""The model of a whole request, which is the same JSON for `POST /v1/jobs` and `scene-attack run`.
+
+The attack of a request is one of all that are registered when it is read, the operator's extensions among them. The
+labels that its goal names are looked up by `asked_goal`, all other names by `names_in`. `scene_name` and the functions
+after it name a request in lists and tables. `RerenderingSpec` is the request of the other kind of job. No torch is
+needed, so that a request is checked before it is queued.
+"""
+
+import json
+import operator
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache, lru_cache
+from hashlib import sha256
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeVar, Union
+
+from pydantic import (
+    AliasChoices,
+    BaseModel,
+    ConfigDict,
+    Field,
+    GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
+    TypeAdapter,
+    ValidationError,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
+
+from scene_attack.analysis.records import AnalysisRequest, Rerendering, RerenderingRequest
+from scene_attack.attacks.attack import ATTACKS, Attack
+from scene_attack.attacks.request import Seed
+from scene_attack.errors import InvalidFields, InvalidRequest
+from scene_attack.rendering.declaration import RENDERERS
+from scene_attack.rendering.plan import DEFAULT_TOLERANCE
+from scene_attack.rendering.torch.declaration import check_preset
+from scene_attack.runs.field_errors import invalid_fields
+from scene_attack.scenes.description import Model, Scene, absent
+from scene_attack.scenes.library import Library
+from scene_attack.strict import Names, reference, unknown_parts
+from scene_attack.targets.download import check_obtainable
+from scene_attack.targets.info import LONGEST_LABEL, TARGETS, TargetInfo
+from scene_attack.targets.labels import labels, same_labels
+from scene_attack.text import closest, did_you_mean
+from scene_attack_questions.clevr.description import Generate, scene_of
+from scene_attack_questions.clevr.records import SceneRecord
+from scene_attack_questions.program import FUNCTIONS, MAX_NODES, TYPE_WORDS, InvalidProgram, Program, written
+
+
+def _validated(data: Any, names: Names | None) -> Attack:
+    """Validates an attack. The other fields of an attack whose method there is not are named, too.
+
+    They are taken for those of the closest method or, where none is close, of the renderer's own: then only what no
+    method has, or what all methods have, is known to be wrong.
+    """
+    union = _union(_registered())
+    try:
+        return union.validate_python(data, context=names)
+    except ValidationError as error:
+        if error.errors()[0]["type"] != "union_tag_invalid":
+            raise
+        close = closest(data["method"], ATTACKS) if isinstance(data["method"], str) else []
+        method = close[0] if close else _method_for(data)
+        try:
+            union.validate_python({**data, "method": method}, context=names)
+        except ValidationError as others:
+            wrong = [item for item in others.errors() if close or not _may_be_anothers(item)]
+            items = [_again(item) for item in (*error.errors(), *wrong)]
+            raise ValidationError.from_exception_data(error.title, items) from error
+        raise
+
+
+def _may_be_anothers(error: Any) -> bool:
+    """Whether an error of an attack is of a field that only some methods have."""
+    field = error["loc"][1] if len(error["loc"]) > 1 else ""
+    some = {name for attack in ATTACKS.values() for name in attack.model_fields}
+    return field in some - set(Attack.model_fields)
+
+
+def _again(error: Any) -> InitErrorDetails:
+    """An error of a ValidationError, to be raised in another."""
+    kind: Any = error["type"]
+    if kind in ("value_error", "assertion_error", "unknown_name"):
+        kind = PydanticCustomError(kind, "{said}", {"said": error["msg"], **error.get("ctx", {})})
+    return InitErrorDetails(type=kind, loc=error["loc"], input=error["input"], ctx=error.get("ctx", {}))
+
+
+def _registered() -> tuple[type[Attack], ...]:
+    return tuple(ATTACKS.values())
+
+
+@lru_cache(maxsize=1)
+def _union(attacks: tuple[type[Attack], ...]) -> TypeAdapter[Attack]:
+    return TypeAdapter(Annotated[Union[attacks], Field(discriminator="method")])  # type: ignore[arg-type]  # noqa: UP007
+
+
+class _Registered:
+    """Validates the settings of any registered attack. Attacks may be registered after this module was imported."""
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, _source: object, _handler: GetCoreSchemaHandler) -> CoreSchema:
+        def validate(data: object, info: ValidationInfo) -> Attack:
+            return _validated(data, info.context)  # its errors become those of the field
+
+        return core_schema.with_info_plain_validator_function(validate)
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, _schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        return handler(_union(_registered()).core_schema)
+
+
+if TYPE_CHECKING:
+    AnyAttack = Attack
+else:
+    AnyAttack = Annotated[Any, _Registered]  # the base class itself would be a part of openapi.yaml
+
+AnyTolerance = Annotated[float, Field(ge=1e-6, le=0.1, allow_inf_nan=False)] | Literal["exact"]
+DEFAULT_TARGET = "efficientnet-lite0"
+
+
+MOST_TEXT = 1000
+"""Characters of a question."""
+MOST_TOGETHER = 16
+"""Questions about one image that are attacked together."""
+Word = Annotated[str, Field(max_length=40)]
+
+
+class Call(Model):
+    """A function of a question's program, as in CLEVR's question files; its generator's words for the fields count."""
+
+    function: Word = Field(
+        validation_alias=AliasChoices("function", "type"), description="a function of the language, e.g. `filter_color`"
+    )
+    inputs: tuple[int, ...] = Field(
+        (), max_length=8, description="numbers of the earlier functions whose outputs it takes, from 0"
+    )
+    value_inputs: tuple[Word, ...] = Field(
+        (),
+        max_length=8,
+        validation_alias=AliasChoices("value_inputs", "side_inputs"),
+        description='its values, e.g. ["red"]',
+    )
+
+
+Calls = Annotated[tuple[Call, ...], Field(max_length=MAX_NODES)]
+Text = Annotated[str, Field(max_length=MOST_TEXT)]
+
+
+def program(calls: tuple[Call, ...]) -> Program:
+    """Returns the program of a request. Raises ValueError, which names the first invalid function by its number."""
+    parsed = Program.read([call.model_dump() for call in calls])
+    try:
+        parsed.check()
+    except InvalidProgram as error:
+        raise ValueError(error.detail if error.node is None else f"{error.node}: {error.detail}") from error
+    return parsed
+
+
+def with_scene(data: dict[str, Any]) -> dict[str, Any]:
+    """Fills in the scene of a request that gives it as CLEVR does: by a `record`, or by what to `generate`.
+
+    Raises ValueError, which begins with the field that is wrong, and pydantic's error for fields of a wrong type.
+    """
+    if data.get("generate") is not None:
+        if others := [name for name in ("scene", "record") if data.get(name) is not None]:
+            raise InvalidRequest("generate", f"leave it out where {others[0]} is given")
+        generator = _Asked.model_validate({"generate": data["generate"]}).generate
+        assert generator is not None
+        data = {**data, "generate": None, "record": generator.record()}
+    if data.get("record") is not None and data.get("scene") is None:
+        record = _Asked.model_validate({"record": data["record"]}).record
+        assert record is not None
+        data = {**data, "record": record, "scene": scene_of(record)}
+    return data
+
+
+class _Asked(Model):
+    record: SceneRecord | None = None
+    generate: Generate | None = None
+
+
+class TargetChoice(Model):
+    """The network under attack and, if it answers questions about images, the question."""
+
+    name: Annotated[str, reference("target")] = Field(
+        DEFAULT_TARGET, min_length=1, max_length=100, description="a name that `GET /v1/targets` lists"
+    )
+    question: Text | Calls | None = Field(
+        None, description="the question, for targets that take one: in words, or its program as in CLEVR's files"
+    )
+    questions: tuple[Text | Calls, ...] = Field(
+        (),
+        max_length=MOST_TOGETHER,
+        exclude_if=operator.not_,
+        description="in place of `question`, several about the same image, whose answers are attacked together",
+    )
+
+    @field_validator("question")
+    @classmethod
+    def _valid_program(cls, value: Any) -> Any:
+        if isinstance(value, tuple):
+            program(value)
+        return value
+
+    @field_validator("questions")
+    @classmethod
+    def _valid_programs(cls, value: tuple[Any, ...]) -> Any:
+        for number, question in enumerate(value):
+            if isinstance(question, tuple):
+                try:
+                    program(question)
+                except ValueError as error:
+                    node, colon, detail = str(error).partition(": ")
+                    message = f"{number}.{node}: {detail}" if colon else f"{number}: {error}"
+                    raise ValueError(message) from error
+        return value
+
+    @model_validator(mode="after")
+    def _one_or_several(self) -> Self:
+        if self.questions and self.question is not None:
+            raise ValueError("questions: give either `question` or `questions`")
+        return self
+
+    @property
+    def asked(self) -> str | None:
+        """The question as targets take it, one text: its words, or its program as JSON."""
+        return None if self.question is None else _asked(self.question)
+
+    @property
+    def together(self) -> tuple[str, ...]:
+        """`questions` as targets take them."""
+        return tuple(map(_asked, self.questions))
+
+
+def _asked(question: str | tuple[Call, ...]) -> str:
+    return written(program(question)) if isinstance(question, tuple) else question
+
+
+MAX_LABELS = 1000
+"""Largest number of labels that count as one answer."""
+Label = Annotated[str, Field(min_length=1, max_length=LONGEST_LABEL)] | Annotated[int, Field(ge=0)]
+Labels = Label | Annotated[tuple[Label, ...], Field(max_length=MAX_LABELS)]
+
+
+class Goal(Model):
+    """The answer that the attack wants from the network. A label is a name or an index.
+
+    Non-targeted: the network must answer none of the labels in `leave`. Targeted: it must answer `reach`. `truth` says
+    which answers are right; it decides the outcome, and which labels count as one answer.
+
+    If `leave` is given, the network's answer to the original image must be among it. If it is left out, it is filled
+    in: with the truth if that answer is right, else with that answer and the labels that mean the same.
+    """
+
+    truth: Labels | None = Field(
+        None,
+        description="the true label, or all labels that are right; where it is left out it is taken from the table of "
+        "library meshes, else from `leave`; an empty list says that nobody knows it",
+    )
+    leave: Labels | None = Field(
+        None,
+        description="the label, or all labels, which the network must stop answering; where the truth is left out and "
+        "the table has none, it is taken for the truth",
+    )
+    reach: Label | None = Field(None, description="the label that the network must answer (targeted)")
+    least_confidence: float = Field(
+        0.0,
+        ge=0,
+        lt=1,
+        allow_inf_nan=False,
+        description="least probability of the new answer for the goal to be met",
+    )
+    leave_kind: bool = Field(
+        False,
+        exclude_if=operator.not_,
+        description="of a question: the new answer must be of another kind than the question asks for, such as `yes` "
+        "to a question about a shape",
+    )
+
+    @field_validator("leave")
+    @classmethod
+    def _something_to_leave(cls, value: Labels | None) -> Labels | None:
+        if value == ():
+            raise ValueError("an empty list has no label to leave; leave the field out")
+        return value
+
+
+def _scene_may_follow(schema: dict[str, Any]) -> None:
+    del schema["required"]  # it is the only field without a default
+
+
+class JobSpec(Model):
+    """One attack on one scene. Every field but the scene's objects has a default; the stored spec states all values.
+
+    The scene may be given as CLEVR does, by `record` or `generate`; it is then filled in.
+    """
+
+    model_config = ConfigDict(json_schema_extra=_scene_may_follow)
+
+    scene: Scene
+    record: SceneRecord | None = Field(
+        None,
+        exclude_if=absent,
+        description="the scene in CLEVR's own format, from whose objects the right answer follows; `scene` may then "
+        "be left out",
+    )
+    generate: Generate | None = Field(
+        None,
+        exclude_if=absent,
+        description="a scene after CLEVR to make, in place of `scene` and `record`, which are filled in",
+    )
+    target: TargetChoice = TargetChoice()
+    goal: Goal = Goal()
+    attack: AnyAttack = Field(default_factory=lambda: ATTACKS[_method_for({})].model_validate({}))
+    tolerance: AnyTolerance = Field(
+        DEFAULT_TOLERANCE,
+        description="largest error of a displayed value, in [0,1], of images inside the attack; `exact` for no "
+        "approximation; the verdict is always on the exact image",
+    )
+    analysis: AnalysisRequest = Field(
+        AnalysisRequest(), description="analyses of the stored perturbation to make after the attack; default none"
+    )
+    seed: Seed = Field(0, description="seed of every random number in the job")
+
+    @field_validator("record")
+    @classmethod
+    def _writable(cls, value: SceneRecord | None) -> SceneRecord | None:
+        """Refuses a record that JSON cannot hold: its texts and the fields of others may be anything that was read."""
+        try:
+            if value is not None:
+                json.dumps(value.model_dump(mode="json"), ensure_ascii=False, allow_nan=False).encode()
+        except (ValueError, RecursionError) as error:
+            detail = "it has a text that is no Unicode, a number that is not finite, or is nested too deep"
+            raise ValueError(detail) from error
+        return value
+
+    @field_validator("goal")
+    @classmethod
+    def _known_labels(cls, value: Goal, info: ValidationInfo) -> Goal:
+        if info.context and "target" in info.data:
+            check_labels(value, [info.data["target"]])
+        return value
+
+    @model_validator(mode="before")
+    @classmethod
+    def _filled_in(cls, data: Any) -> Any:
+        if isinstance(data, dict):
+            data = with_scene(data)
+        if isinstance(data, dict) and "attack" in data:
+            data = data | {"attack": with_method(data["attack"])}
+        return data
+
+
+def with_method(attack: Any) -> Any:
+    """Fills in the method that the renderer declares if the data of an attack leave `method` out."""
+    if isinstance(attack, dict) and "method" not in attack:
+        return attack | {"method": _method_for(attack)}
+    return attack
+
+
+def _method_for(attack: Mapping[str, Any]) -> str:
+    """The method that the renderer declares. An unknown renderer is refused later, when its own field is validated."""
+    default = Attack.model_fields["renderer"].default
+    renderer = attack.get("renderer", default)
+    known = isinstance(renderer, str) and renderer in RENDERERS
+    return RENDERERS[renderer if known else default].method
+
+
+def check_labels(goal: Goal, targets: Iterable[TargetChoice]) -> None:
+    """Raises ValidationError with the labels of a goal that one of the targets does not have.
+
+    Several questions have answers of their own, and a target's labels may not be listed: both are refused elsewhere.
+    """
+    for choice in targets:
+        if choice.name in TARGETS and not choice.questions:
+            target = TARGETS[choice.name]
+            try:
+                asked_goal(goal, target.info, labels(choice.name))
+            except InvalidRequest as error:
+                if error.field != "target.name":
+                    raise unknown_parts("goal", error.every, "goal", goal.model_dump()) from error
+
+
+@dataclass(frozen=True)
+class AskedGoal:
+    """A goal as the request states it, in label indices. A truth of None is one that the request leaves out."""
+
+    goal: Goal
+    labels: tuple[str, ...]
+    same: tuple[frozenset[int], ...]
+    """Groups of labels that mean the same."""
+    truth: frozenset[int] | None
+    leave: frozenset[int]
+    reach: int | None
+
+
+def asked_goal(goal: Goal, target: TargetInfo, labels: tuple[str, ...]) -> AskedGoal:
+    """Looks up the labels of a goal, and with each those that mean the same.
+
+    Raises InvalidFields with every label that is not among the target's, and InvalidRequest if the label to reach is
+    one to leave.
+    """
+    same = tuple(frozenset(labels.index(label) for label in group if label in labels) for group in same_labels(target))
+    wrong: list[InvalidRequest] = []
+
+    def index(field: str, label: Label) -> frozenset[int]:
+        try:
+            return frozenset([_index(label, labels, field, target.name)])
+        except InvalidRequest as error:
+            wrong.append(error)
+            return frozenset()
+
+    def looked_up(field: str, value: Labels | None) -> frozenset[int]:
+        if not isinstance(value, tuple):
+            return frozenset() if value is None else index(field, value)
+        return frozenset[int]().union(*(index(f"{field}.{i}", label) for i, label in enumerate(value)))
+
+    truth = None if goal.truth is None else with_same(looked_up("goal.truth", goal.truth), same)
+    leave = with_same(looked_up("goal.leave", goal.leave), same)
+    reached = looked_up("goal.reach", goal.reach)
+    if wrong:
+        raise InvalidFields(wrong)
+    reach = next(iter(reached), None)
+    if reach in leave:
+        raise InvalidRequest("goal.reach", f"is a label to leave ({labels[reach]!r}); name another one")
+    return AskedGoal(goal, labels, same, truth, leave, reach)
+
+
+def with_same(labels: frozenset[int], groups: tuple[frozenset[int], ...]) -> frozenset[int]:
+    """The labels, and those that mean the same as one of them."""
+    return labels.union(*(group for group in groups if group & labels))
+
+
+def _index(label: str | int, labels: tuple[str, ...], field: str, target: str) -> int:
+    if isinstance(label, int):
+        if label >= len(labels):
+            raise InvalidRequest(field, f"{target} has labels 0 to {len(labels) - 1}, not {label}")
+        return label
+    if label not in labels:
+        raise InvalidRequest(field, f"{target} has no label {label!r}{did_you_mean(label, labels)}")
+    return labels.index(label)
+
+
+AnyModel = TypeVar("AnyModel", bound=BaseModel)
+
+
+def parsed(model: type[AnyModel], data: object, names: Names | None = None) -> AnyModel:
+    """Parses JSON data. Raises InvalidFields, which has every bad field.
+
+    Names of meshes, maps, materials, targets and labels are looked up in `names`, if it is given.
+    """
+    try:
+        return model.model_validate(data, context=names)
+    except ValidationError as error:
+        raise InvalidFields(invalid_fields(error.errors(include_url=False), model)) from error
+
+
+def parse(data: object, names: Names | None = None) -> JobSpec:
+    """Parses JSON data into a spec, as `parsed` does."""
+    return parsed(JobSpec, data, names)
+
+
+def check_names(request: BaseModel, names: Names) -> None:
+    """Raises InvalidFields with every name in a valid request that there is not."""
+    parsed(type(request), request.model_dump(mode="json"), names)
+
+
+def names_in(
+    library: Library,
+    may_use: Callable[[str], bool] = lambda _: True,
+    not_read: Mapping[str, str] = MappingProxyType({}),
+) -> Names:
+    """Returns the context with which a request is validated together with the names in it.
+
+    An upload for whose name `may_use` is false is unknown. `not_read` says of meshes that are files of this machine why
+    they could not be added.
+    """
+
+    def check_mesh(name: str) -> None:
+        if name in not_read:
+            raise InvalidRequest("mesh", not_read[name])
+        library.check_mesh(name, may_use)
+
+    # A campaign names the same few things in each of thousands of jobs.
+    return {
+        "mesh": cache(check_mesh),
+        "map": cache(lambda name: library.check_map(name, may_use)),
+        "material": check_preset,
+        "target": cache(check_obtainable),
+    }
+
+
+def digest(spec: BaseModel) -> str:
+    """Hex SHA-256 of a request with its defaults filled in, by which the same request is recognised."""
+    return sha256(spec.model_dump_json().encode()).hexdigest()
+
+
+def scene_name(spec: Mapping[str, Any], titles: Mapping[str, str] | None = None) -> str:
+    """The meshes of a full spec without their folder, e.g. "grand-piano" or "couch, cube".
+
+    An upload is called by its name in `titles`, or by the beginning of its hash if it has none there.
+    """
+    return ", ".join(_mesh_name(str(thing["mesh"]), titles or {}) for thing in spec["scene"]["objects"])
+
+
+def question_names(spec: Mapping[str, Any]) -> list[str]:
+    """The questions of a full spec: their words, or "A program of 9 functions that asks for a number"."""
+    target = spec["target"]
+    asked = [*([] if target.get("question") is None else [target["question"]]), *target.get("questions", ())]
+    return [question if isinstance(question, str) else _program_name(question) for question in asked]
+
+
+def job_name(spec: Mapping[str, Any], titles: Mapping[str, str] | None = None) -> str:
+    """The question of a full spec, "4 questions about one image", or `scene_name` if it has none."""
+    questions = question_names(spec)
+    if len(questions) > 1:
+        return f"{len(questions)} questions about one image"
+    return questions[0] if questions else scene_name(spec, titles)
+
+
+def group_words(spec: Mapping[str, Any], group: str) -> str:
+    """The words of pages for a parameter group of a full spec's renderer, e.g. "surface normals".
+
+    A group that the renderer does not declare, or whose renderer is not installed, is called by its name.
+    """
+    renderer = RENDERERS.get(spec["attack"]["renderer"])
+    return renderer.group(group).words if renderer is not None and group in renderer.group_names else group
+
+
+def attack_name(spec: Mapping[str, Any]) -> str:
+    """Renderer, groups and method of a full spec, e.g. "image fgsm", "torch combined fgsm" or "pyrender color zoo".
+
+    "combined" stands for the default groups of a renderer with several of them. The only group of a renderer is not
+    named. If the renderer is not installed, as an extension removed since the job ran, all its attacked groups are
+    named.
+    """
+    attack = spec["attack"]
+    renderer, groups, known = attack["renderer"], tuple(attack["groups"]), RENDERERS.get(attack["renderer"])
+    if known is not None and set(groups) == set(known.default_groups):
+        groups = () if len(groups) == 1 else ("combined",)
+    targeted = " targeted" if spec.get("goal", {}).get("reach") is not None else ""
+    return " ".join([renderer, *(["+".join(groups)] if groups else []), attack["method"]]) + targeted
+
+
+def _mesh_name(mesh: str, titles: Mapping[str, str]) -> str:
+    return titles.get(mesh, mesh[:14]) if mesh.startswith("sha256:") else mesh.rpartition("/")[2]
+
+
+def _program_name(calls: Sequence[Mapping[str, Any]]) -> str:
+    functions = "1 function" if len(calls) == 1 else f"{len(calls)} functions"
+    return f"A program of {functions} that asks for {TYPE_WORDS[FUNCTIONS[calls[-1]['function']].output]}"
+
+
+SENT_IMAGE = "image"
+"""Name of the job's file that is the image as it was sent: PNG, JPEG or WebP."""
+RENDERING = "rendering.png"
+"""Name of the file of the fitted scene's rendering, once the job succeeded."""
+
+
+class RerenderingSpec(Model):
+    """The request of a job that fits a scene to an image, and asks a network about the fitted scene's rendering."""
+
+    image: str = Field(description="SHA-256 of the image's file, which is the job's file `image`")
+    scene: Scene
+    target: TargetChoice
+    fit: RerenderingRequest
+
+    def attack(self) -> JobSpec:
+        """An attack on the same scene and network: both can be used if it can run."""
+        return JobSpec(scene=self.scene, target=self.target)
+
+
+class RerenderingView(BaseModel):
+    """The network's answers to the image and to the rendering of the scene fitted to it."""
+
+    rerendering: Rerendering
+    png: str = Field(description="the rendering as a PNG file in base64")

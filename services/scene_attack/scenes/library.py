@@ -1,0 +1,338 @@
+"""The library of assets that a scene can name: furniture, primitives, uploaded meshes, environment maps."""
+
+import re
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from scene_attack.blobs import blobs
+from scene_attack.errors import InvalidRequest
+from scene_attack.options import DEFAULTS, Options
+from scene_attack.scenes import environment
+from scene_attack.scenes.bundle import Bundle
+from scene_attack.scenes.environment import EnvironmentMap, read_exr, uniform
+from scene_attack.scenes.furniture import Model, archive_of, load_model, read_catalogue, read_icon
+from scene_attack.scenes.mesh import Mesh
+from scene_attack.scenes.primitives import PRIMITIVES, primitive
+from scene_attack.scenes.uploads import Upload, Uploads, is_map
+from scene_attack.text import did_you_mean
+
+
+class Entry(BaseModel):
+    """An asset that a scene can name, with its attribution. `size` is width, depth and height in centimetres."""
+
+    model_config = ConfigDict(frozen=True)
+
+    name: str
+    title: str
+    kind: Literal["furniture", "primitive", "upload", "environment"]
+    category: str
+    creator: str
+    licence: str
+    credit: str | None
+    size: tuple[float, float, float] | None = None
+    triangles: int | None = None
+    used: tuple[str, ...] = Field((), description="what an uploaded mesh shows of its files: textures, maps, colours")
+    notes: tuple[str, ...] = Field((), description="what it does not show of them, and what files are missing")
+
+
+FETCHED = ("city", "courtyard", "forest", "interior", "night", "studio", "sunrise", "sunset")
+"""The environment maps that scripts/setup fetches."""
+
+
+def own_entry(name: str, kind: Literal["primitive", "environment"]) -> Entry:
+    """The entry of an asset that the project makes itself: a primitive, or the uniform map."""
+    title = name.rpartition("/")[2].capitalize()
+    return Entry(
+        name=name, title=title, kind=kind, category=kind, creator="scene-attack", licence="CC0 1.0", credit=None
+    )
+
+
+UNIFORM = own_entry("uniform", "environment")
+
+
+def furniture_entry(model: Model) -> Entry:
+    """The entry of a piece of furniture."""
+    return Entry(
+        name=f"furniture/{model.slug}",
+        title=model.title,
+        kind="furniture",
+        category=model.category,
+        creator=model.creator,
+        licence=model.licence,
+        credit=model.credit,
+        size=model.size,
+    )
+
+
+def upload_entry(record: Upload) -> Entry:
+    """The entry of an upload, a mesh or an environment map."""
+    of_map = is_map(record.kind)
+    return Entry(
+        name=f"sha256:{record.sha256}",
+        title=record.about.title or f"Uploaded {record.kind} {'map' if of_map else 'mesh'} {record.sha256[:8]}",
+        kind="environment" if of_map else "upload",
+        category="upload",
+        creator="uploader",
+        licence=record.about.licence or "unknown",
+        credit=record.about.credit,
+        triangles=None if of_map else record.triangles,
+        used=record.used,
+        notes=record.notes,
+    )
+
+
+def environment_entry(name: str) -> Entry:
+    """The entry of a map in the folder of maps. The creator of a map that the set-up did not fetch is unknown."""
+    fetched = name in FETCHED
+    return Entry(
+        name=name,
+        title=name.capitalize(),
+        kind="environment",
+        category="environment",
+        creator="Greg Zaal" if fetched else "unknown",
+        licence="CC0 1.0" if fetched else "unknown",
+        credit=f"Environment map “{name}” by Greg Zaal, CC0 1.0, HDRI Haven (hdrihaven.com), as shipped with Blender"
+        if fetched
+        else None,
+    )
+
+
+KEPT_MESHES = 32
+"""Number of recently used meshes kept in memory; a large mesh takes about 30 MB."""
+_UPLOAD = re.compile(r"sha256:([0-9a-f]{64})")
+SETUP = "run scripts/setup to fetch the furniture library and the environment maps"
+NAMES = (
+    "; a mesh is furniture/<slug>, primitive/<name>, or the sha256:<64 hex digits> that the upload of a file answered; "
+    "GET /v1/scenes and `scene-attack assets list` list all of them"
+)
+"""How meshes are named, for a name that no mesh's is close to."""
+
+
+class Library:
+    """The assets of an installation: cache_dir holds the files that scripts/setup fetched, `files` (`settings.files`)
+    those of users.
+
+    Safe to share between threads. Two Libraries on the same places see the same assets, so that another process is
+    given the places alone.
+    """
+
+    def __init__(self, cache_dir: Path, files: Path | str) -> None:
+        self._places = cache_dir, files
+        self._furniture = cache_dir / "furniture"
+        self._environments = cache_dir / "environments"
+        self._processed = cache_dir / "meshes"
+        self._uploads = Uploads(blobs(files, "assets"), self._processed)
+        self._lock = threading.RLock()
+        self._models: dict[str, Model] | None = None
+        self._shipped_entries: list[Entry] = []
+        self._meshes: OrderedDict[str, Mesh] = OrderedDict()
+        self._maps: dict[str, EnvironmentMap] = {}
+
+    def __reduce__(self) -> tuple[type["Library"], tuple[Path, Path | str]]:
+        return type(self), self._places
+
+    def mesh(self, name: str) -> Mesh:
+        """Returns the mesh of that name: `furniture/<slug>`, `primitive/<name>` or `sha256:<hex>` of an upload.
+
+        Raises InvalidRequest("mesh", …) for an unknown name, with close matches, and JobFailure("asset-missing") if
+        its file is damaged.
+        """
+        with self._lock:
+            if name in self._meshes:
+                self._meshes.move_to_end(name)
+                return self._meshes[name]
+        mesh = self._load(name)
+        with self._lock:
+            self._meshes[name] = mesh
+            while len(self._meshes) > KEPT_MESHES:
+                self._meshes.popitem(last=False)
+        return mesh
+
+    def check_mesh(self, name: str, may_use: Callable[[str], bool] = lambda _: True) -> None:
+        """Raises InvalidRequest("mesh", …) as `mesh` does for an unknown name, without reading a known one's file.
+
+        An upload for whose name `may_use` is false is unknown, too.
+        """
+        if (_UPLOAD.fullmatch(name) and not may_use(name)) or self.entry(name) is None:
+            raise self._unknown_mesh(name)
+
+    def check_map(self, name: str, may_use: Callable[[str], bool] = lambda _: True) -> None:
+        """Raises InvalidRequest("environment", …) as `environment` does for an unknown name, without reading its file.
+
+        The map `lights`, which is made of a scene's own lights, is known. An upload for whose name `may_use` is false
+        is not.
+        """
+        if _UPLOAD.fullmatch(name):
+            record = self._record(name) if may_use(name) else None
+            if record is None or not is_map(record.kind):
+                raise InvalidRequest("environment", f"there is no environment map {name!r}")
+        elif name != environment.LIGHTS and not (known := {item.name: item for item in self.environments()}).get(name):
+            hint = "" if len(known) > 1 else f"; {SETUP}"
+            raise InvalidRequest(
+                "environment", f"there is no environment map {name!r}{did_you_mean(name, known)}{hint}"
+            )
+
+    def has_upload(self, name: str) -> bool:
+        """Whether there is an uploaded mesh of that name, `sha256:<hex>`."""
+        return self._record(name) is not None
+
+    def titles(self, names: Iterable[str]) -> dict[str, str]:
+        """The titles that people gave uploads, by name; `names` may have others, which are left out."""
+        records = ((name, self._record(name)) for name in names)
+        return {name: record.about.title for name, record in records if record is not None and record.about.title}
+
+    def upload(self, name: str) -> Bundle | None:
+        """Returns an upload as it was sent, a mesh or a map; None for a name that is no upload's.
+
+        Raises JobFailure("asset-missing") if its files are missing or changed.
+        """
+        record = self._record(name)
+        return None if record is None else self._uploads.bundle(record)
+
+    def furniture_archive(self, name: str) -> bytes | None:
+        """Returns a furniture library of one model, `furniture/<slug>`; None for another name."""
+        model = self._model(name)
+        return None if model is None else archive_of(model, self._furniture)
+
+    def map_file(self, name: str) -> bytes | None:
+        """Returns the OpenEXR file of an environment map; None for `uniform`, for an upload, and for an unknown one."""
+        known = {entry.name for entry in self.environments()} - {UNIFORM.name}
+        return (self._environments / f"{name}.exr").read_bytes() if name in known else None
+
+    def remove_upload(self, name: str) -> None:
+        """Removes the files of an uploaded mesh, if there are any. Other processes may keep it in memory."""
+        upload = _UPLOAD.fullmatch(name)
+        if upload is not None:
+            with self._lock:
+                self._meshes.pop(name, None)
+            self._uploads.remove(upload[1])
+
+    def entries(
+        self,
+        category: str | None = None,
+        creator: str | None = None,
+        licence: str | None = None,
+        search: str | None = None,
+        may_see: Callable[[str], bool] = lambda _: True,
+    ) -> list[Entry]:
+        """Lists the meshes that match every filter, case-insensitively, by kind and then by name.
+
+        category, creator and licence match if they are equal; search matches if every word of it is part of the name,
+        title, category or creator. Furniture is listed only if its library is installed, and an upload only if
+        `may_see` is true for its name; the record of no other one is read.
+        """
+        words = (search or "").lower().split()
+        due = {"category": category, "creator": creator, "licence": licence}
+
+        def matches(entry: Entry) -> bool:
+            text = f"{entry.name} {entry.title} {entry.category} {entry.creator}".lower()
+            equal = all(value is None or getattr(entry, name).lower() == value.lower() for name, value in due.items())
+            return equal and all(word in text for word in words)
+
+        uploads = self._uploads.all(lambda sha256: may_see(f"sha256:{sha256}"))
+        return [entry for entry in (*self._shipped(), *map(upload_entry, uploads)) if matches(entry)]
+
+    def entry(self, name: str) -> Entry | None:
+        """Returns the entry of a mesh; None if there is none of that name."""
+        if _UPLOAD.fullmatch(name):
+            record = self._record(name)
+            return None if record is None else upload_entry(record)
+        return next((entry for entry in self._shipped() if entry.name == name), None)
+
+    def picture(self, name: str) -> bytes | None:
+        """Returns the PNG file of the picture that a furniture library has of a mesh, `furniture/<slug>`; else None."""
+        model = self._model(name)
+        return None if model is None else read_icon(model, self._furniture)
+
+    def thumbnail(self, name: str) -> bytes | None:
+        """Returns the thumbnail of an upload, a PNG file; None if none was kept yet."""
+        return self._uploads.thumbnail(name.removeprefix("sha256:"))
+
+    def keep_thumbnail(self, name: str, png: bytes) -> None:
+        """Stores the thumbnail of an upload, if it is still there."""
+        if self.has_upload(name):
+            self._uploads.keep_thumbnail(name.removeprefix("sha256:"), png)
+
+    def add_mesh(self, data: bytes, kind: str, limits: Options = DEFAULTS) -> Entry:
+        """Adds a mesh that is a single file, as `add`."""
+        return self.add(Bundle(kind, data, {}), limits)
+
+    def add(self, bundle: Bundle, limits: Options = DEFAULTS) -> Entry:
+        """Validates an uploaded mesh and its files, stores them by their SHA-256 and returns the mesh's entry.
+
+        The same bytes give the same entry. Raises
+        InvalidRequest("file" or "kind", …), and JobFailure("internal") if the file cannot be read now.
+        """
+        return upload_entry(self._uploads.add(bundle, limits))
+
+    def environment(self, name: str) -> EnvironmentMap:
+        """Returns the environment map of that name, which may be that of an upload.
+
+        Raises InvalidRequest("environment", …) with close matches.
+        """
+        if (record := self._record(name)) is not None and is_map(record.kind):
+            return self._uploads.load_map(record)
+        with self._lock:
+            if name not in self._maps:
+                self.check_map(name)
+                path, credit = self._environments / f"{name}.exr", environment_entry(name).credit
+                self._maps[name] = uniform() if name == "uniform" else read_exr(path, credit)
+            return self._maps[name]
+
+    def environments(self) -> list[Entry]:
+        """Lists the environment maps by name; `uniform`, radiance 1 in every direction, is always among them."""
+        maps = [environment_entry(path.stem) for path in self._environments.glob("*.exr")]
+        return sorted([*(entry for entry in maps if entry.name != "uniform"), UNIFORM], key=lambda entry: entry.name)
+
+    def _record(self, name: str) -> Upload | None:
+        """The metadata of an upload, `sha256:<hex>`; None for another name, and for one that is not there."""
+        upload = _UPLOAD.fullmatch(name)
+        return None if upload is None else self._uploads.record(upload[1])
+
+    def _load(self, name: str) -> Mesh:
+        kind, _, rest = name.partition("/")
+        if kind == "primitive" and rest in PRIMITIVES:
+            return primitive(rest)
+        if (upload := self._record(name)) is not None:
+            if is_map(upload.kind):
+                raise InvalidRequest("mesh", f"{name!r} is an environment map, for lights.environment.map")
+            return self._uploads.load(upload)
+        if (model := self._model(name)) is not None:
+            return load_model(model, self._furniture, self._processed)
+        raise self._unknown_mesh(name)
+
+    def _unknown_mesh(self, name: str) -> InvalidRequest:
+        """The error for a name that is none. It suggests no upload, which may be somebody else's."""
+        if name.startswith("furniture/") and not self._catalogue():
+            return InvalidRequest("mesh", f"there is no furniture in {self._furniture}; {SETUP}")
+        known = [entry.name for entry in self._shipped()]
+        same = [other for other in known if other.rpartition("/")[2] == name.lower()]  # without its folder
+        hint = f"; did you mean {same[0]!r}?" if same else did_you_mean(name, known)
+        return InvalidRequest("mesh", f"there is no mesh {name!r}{hint or NAMES}")
+
+    def _model(self, name: str) -> Model | None:
+        """The model of a piece of furniture, `furniture/<slug>`; None for another name."""
+        kind, _, slug = name.partition("/")
+        return self._catalogue().get(slug) if kind == "furniture" else None
+
+    def _catalogue(self) -> dict[str, Model]:
+        with self._lock:
+            # Read an empty catalogue again each time: the set-up may still be running.
+            if not self._models:
+                self._models = read_catalogue(self._furniture)
+            return self._models
+
+    def _shipped(self) -> list[Entry]:
+        """The furniture and the primitives. They are kept: to make them anew takes longer than all else of a list."""
+        models = self._catalogue()
+        with self._lock:
+            if not models or not self._shipped_entries:
+                furniture = sorted(map(furniture_entry, models.values()), key=lambda entry: entry.name)
+                solids = [own_entry(f"primitive/{name}", "primitive") for name in sorted(PRIMITIVES)]
+                self._shipped_entries = [*furniture, *solids]
+            return self._shipped_entries

@@ -1,0 +1,66 @@
+"""Wraps an image classifier as a target: it resizes and normalises images and runs the network."""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from scene_attack.process import describe, device
+
+
+@dataclass
+class Classifier:
+    """A frozen image classifier on the configured device, differentiable if its network is; implements `Target`.
+
+    `mean` and `scale` define its input normalisation, (pixel − mean) / scale with pixels in [0,1].
+    """
+
+    name: str
+    network: nn.Module
+    labels: tuple[str, ...]
+    input_size: tuple[int, int]
+    mean: tuple[float, float, float]
+    scale: tuple[float, float, float]
+    weights_sha256: str
+    dtype: torch.dtype = torch.float32
+    resize: Literal["bilinear", "bicubic"] = "bilinear"
+    scores_only: str | None = None
+    """The reason for which the network has no gradients; None if it has."""
+    differentiable: bool = field(default=True, init=False)
+    takes_question: bool = field(default=False, init=False)
+
+    def __post_init__(self) -> None:
+        self.differentiable = self.scores_only is None
+        self._device = device()
+        self.network = self.network.to(self._device, self.dtype).eval().requires_grad_(False)
+        # channels_last is 1.4 to 1.7 times faster on a CPU for depthwise networks. `nn.Module.to` lays weights out so
+        # too, but fails where some have five dimensions.
+        for value in [*self.network.parameters(), *self.network.buffers()]:
+            if value.dim() == 4:
+                value.data = value.data.contiguous(memory_format=torch.channels_last)
+        self._mean = torch.tensor(self.mean, dtype=self.dtype, device=self._device)
+        self._scale = torch.tensor(self.scale, dtype=self.dtype, device=self._device)
+
+    @property
+    def backend(self) -> str:
+        """A line that names everything that decides the bits of its scores: version, device, dtype, threads."""
+        kind = str(self.dtype).removeprefix("torch.")
+        where = describe(self._device)
+        return f"torch {torch.__version__} {where} {kind} {torch.get_num_threads()} threads"
+
+    def logits(self, images: Tensor) -> Tensor:
+        """Returns scores [B, K] of images [B, H, W, 3] in [0,1]; see `Target.logits`."""
+        width = images.shape[2]
+        # Normalised row by row: broadcasting over the three channels takes six times as long.
+        mean, scale = self._mean.repeat(width), self._scale.repeat(width)
+        x = (images.to(self._device, self.dtype).flatten(2) - mean).div_(scale)
+        x = x.reshape(images.shape).permute(0, 3, 1, 2)
+        if tuple(x.shape[-2:]) != self.input_size:
+            x = F.interpolate(x, self.input_size, mode=self.resize, antialias=True)
+            if self.resize == "bicubic":  # it overshoots at edges
+                low, high = (((bound - self._mean) / self._scale)[:, None, None] for bound in (0.0, 1.0))
+                x = x.clamp(low, high)
+        scores: Tensor = self.network(x.contiguous(memory_format=torch.channels_last))
+        return scores.to(images.device, torch.promote_types(self.dtype, torch.float32))

@@ -1,0 +1,92 @@
+"""Defines the protocol of targets: the networks that attacks run against."""
+
+from collections.abc import Sequence
+from typing import Protocol, runtime_checkable
+
+from torch import Tensor
+
+from scene_attack_questions.program import Program
+
+
+class Target(Protocol):
+    """A network that turns images into scores for a fixed list of labels. One that answers questions is asked first."""
+
+    @property
+    def name(self) -> str:
+        """The target's name in a request."""
+        ...
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """The label of each score; labels are unique."""
+        ...
+
+    @property
+    def input_size(self) -> tuple[int, int]:
+        """Height and width of the network's input, pixels."""
+        ...
+
+    @property
+    def differentiable(self) -> bool:
+        """Whether scores are differentiable with respect to the images."""
+        ...
+
+    @property
+    def takes_question(self) -> bool:
+        """Whether it is a `QuestionTarget`, which has scores only once it is asked."""
+        ...
+
+    @property
+    def weights_sha256(self) -> str:
+        """SHA-256 (hex) of the weights file."""
+        ...
+
+    @property
+    def backend(self) -> str:
+        """A line that names everything that decides the bits of the scores: versions, device, dtype, threads."""
+        ...
+
+    def logits(self, images: Tensor) -> Tensor:
+        """Returns unnormalised scores [B, K], float32 or wider, on the device of the images.
+
+        `images` [B, H, W, 3] in [0,1], on any device and of any size; they are resized to `input_size` (antialiased
+        bilinear) and normalised here. Differentiable with respect to `images` where `differentiable` is true. An
+        image's scores do not depend on the other images in the batch.
+        """
+        ...
+
+
+@runtime_checkable
+class QuestionTarget(Target, Protocol):
+    """A target that answers questions. A question is one text: its words, or its program as JSON
+    (`scene_attack_questions.program`).
+    """
+
+    def asked(self, question: str) -> Target:
+        """Returns the network with this question, whose `logits` are the scores of the answers."""
+        ...
+
+
+@runtime_checkable
+class ProgramTarget(QuestionTarget, Protocol):
+    """A target that answers by the functional program of a question about a scene after CLEVR."""
+
+    def program(self, question: str) -> Program:
+        """Returns the program of a question, the same for every image.
+
+        Raises InvalidRequest("question") for one that it cannot understand, InvalidProgram for an invalid program.
+        """
+        ...
+
+    def answers(self, images: Tensor, questions: Sequence[str]) -> Tensor:
+        """Returns the scores [B, Q, K] of each question to each of the images [B, H, W, 3]; `asked` serves a single
+        question.
+        """
+        ...
+
+    def attention(self, images: Tensor, question: str) -> list[Tensor | None]:
+        """Returns the attention masks of the functions of the question's program in images [B, H, W, 3] in [0,1].
+
+        Masks [B, h, w] in [0,1], float32 on the CPU; None for a function whose result has no place in the image.
+        """
+        ...

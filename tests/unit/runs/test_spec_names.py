@@ -1,0 +1,42 @@
+import pytest
+
+from scene_attack.runs.spec import attack_name, group_words, job_name, question_names
+
+TORCH = ("normals", "illumination", "material")
+PAPERS = ["illumination", "color", "translation", "rotation"]
+
+
+@pytest.mark.parametrize(
+    ("attack", "name"),
+    [
+        ({"renderer": "image", "groups": ["image"], "method": "fgsm"}, "image fgsm"),
+        ({"renderer": "torch", "groups": TORCH[::-1], "method": "fgsm"}, "torch combined fgsm"),
+        ({"renderer": "torch", "groups": ["normals", "material"], "method": "zoo"}, "torch normals+material zoo"),
+        ({"renderer": "pyrender", "groups": ["color"], "method": "zoo"}, "pyrender color zoo"),
+        ({"renderer": "pyrender", "groups": PAPERS, "method": "zoo"}, "pyrender combined zoo"),
+        ({"renderer": "pyrender", "groups": ["rotation", "camera"], "method": "zoo"}, "pyrender rotation+camera zoo"),
+        ({"renderer": "not-installed", "groups": ["fog"], "method": "hill"}, "not-installed fog hill"),
+    ],
+)
+def test_an_attack_has_a_name(attack: dict[str, object], name: str) -> None:
+    assert attack_name({"attack": attack}) == name
+    assert attack_name({"attack": attack, "goal": {"reach": "teapot"}}) == f"{name} targeted"
+
+
+def test_a_group_is_worded_by_its_renderer() -> None:
+    assert group_words({"attack": {"renderer": "torch"}}, "normals") == "surface normals"
+    assert group_words({"attack": {"renderer": "pyrender"}}, "color") == "colour"
+    assert group_words({"attack": {"renderer": "not-installed"}}, "fog") == "fog"
+
+
+def test_a_job_is_named_by_its_questions() -> None:
+    scene = {"objects": [{"mesh": "primitive/cube"}, {"mesh": "furniture/couch"}]}
+    counting = [{"function": "scene"}, {"function": "count", "inputs": [0]}]
+    words = "How many things are there?"
+    assert job_name({"scene": scene, "target": {"name": "resnet50", "question": None}}) == "cube, couch"
+    assert job_name({"scene": scene, "target": {"name": "iep", "question": words}}) == words
+    program = "A program of 2 functions that asks for a number"
+    assert job_name({"scene": scene, "target": {"name": "iep", "question": counting}}) == program
+    several = {"scene": scene, "target": {"name": "iep", "question": None, "questions": [words, counting]}}
+    assert question_names(several) == [words, program]
+    assert job_name(several) == "2 questions about one image"
