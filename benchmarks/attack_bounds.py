@@ -23,11 +23,11 @@ from scene_attack.attacks.fgsm import Fgsm
 from scene_attack.attacks.goal import ResolvedGoal
 from scene_attack.attacks.limits import Limits
 from scene_attack.attacks.problem import AttackProblem, Evaluation, differentiate, evaluate, quantize
-from scene_attack.cli.settings import settings_to_run
 from scene_attack.rendering.opengl.gbuffer import rasterise
 from scene_attack.rendering.plan import GradientError
 from scene_attack.rendering.torch.declaration import TORCH
 from scene_attack.rendering.torch.renderer import TorchRenderer
+from scene_attack.runs.environment import options_to_run
 from scene_attack.scenes.description import Scene
 from scene_attack.scenes.library import Library
 from scene_attack.scenes.resolve import resolve
@@ -204,7 +204,7 @@ def main() -> None:
     cases = [*adversarial_scenes(), *random_scenes(options.random, options.seed)]
     made_by = (__doc__ or "", backend(), options.seed)
     measured = _earlier(options.out, head(*made_by))
-    settings = settings_to_run()
+    settings = options_to_run()
     library = Library(settings.cache_dir, settings.data_dir)
     for case in track([case for case in cases if case.name not in measured], "attacking"):
         row = measured[case.name] = attack_errors(case, library)

@@ -23,14 +23,15 @@ from typing import Any
 import torch
 
 from benchmarks.report import RESULTS, save, shortest
-from scene_attack.cli.settings import settings_to_run
+from scene_attack.process import ALLOCATOR
+from scene_attack.runs.environment import options_to_run
 from scene_attack.runs.execute import Progress, execute
 from scene_attack.runs.prepare import prepare
 from scene_attack.runs.spec import JobSpec, parse
 from scene_attack.scenes.library import Library
 from scene_attack.targets import registry
 from scene_attack.targets.protocol import Target
-from scene_attack_service.jobs.processes import ALLOCATOR, warm_up
+from scene_attack_service.jobs.processes import warm_up
 
 ATTACKS: dict[str, dict[str, Any]] = {
     "image": {"renderer": "image"},
@@ -79,7 +80,7 @@ def _in_a_process(attack: str, size: int, steps: int, repeats: int) -> dict[str,
 
 def _measure(attack: str, size: int, steps: int, repeats: int) -> dict[str, Any]:
     """Measures `repeats` jobs beside as many passes of the network; with 0, one job and its memory only."""
-    settings = settings_to_run()
+    settings = options_to_run()
     warm_up(settings)
     library = Library(settings.cache_dir, settings.data_dir)
     chosen = ATTACKS[attack]

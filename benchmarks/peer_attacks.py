@@ -21,9 +21,9 @@ from scene_attack.attacks.goal import ResolvedGoal
 from scene_attack.attacks.limits import Limits
 from scene_attack.attacks.problem import AttackProblem, at_random_start, differentiate, evaluate
 from scene_attack.attacks.run import AttackRun, Verifier, run_attack
-from scene_attack.cli.settings import settings_to_run
 from scene_attack.rendering.color import from_bytes, to_bytes
 from scene_attack.rendering.image import ImageRenderer
+from scene_attack.runs.environment import options_to_run
 from scene_attack.runs.prepare import prepare
 from scene_attack.runs.spec import parse
 from scene_attack.scenes.library import Library
@@ -189,7 +189,7 @@ def main() -> None:
     """Runs the comparison; see --help."""
     argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
     reach()
-    settings = settings_to_run()
+    settings = options_to_run()
     torch.set_num_threads(settings.threads)
     target, plain = registry.load("efficientnet-lite0"), Lite0(torch.channels_last)
     saved, labels, names = right_images(Library(settings.cache_dir, settings.data_dir))

@@ -22,7 +22,6 @@ from torch import Tensor
 
 from benchmarks.report import RESULTS, save, shortest
 from scene_attack.attacks.problem import generator
-from scene_attack.cli.settings import settings_to_run
 from scene_attack.rendering.color import to_display
 from scene_attack.rendering.factory import build
 from scene_attack.rendering.opengl.gbuffer import rasterise
@@ -31,6 +30,7 @@ from scene_attack.rendering.torch import dsbrdf
 from scene_attack.rendering.torch.dsbrdf import MATERIAL_UNIT, colored_lobes
 from scene_attack.rendering.torch.light import directions, illumination, solid_angles
 from scene_attack.rendering.torch.table import to_vectors
+from scene_attack.runs.environment import options_to_run
 from scene_attack.runs.spec import parse
 from scene_attack.scenes.library import Library
 from scene_attack.scenes.resolve import ResolvedScene, resolve
@@ -149,7 +149,7 @@ def main() -> None:
     parser.add_argument("--no-mitsuba", action="store_true")
     parser.add_argument("--out", type=Path, default=RESULTS / "shading.json")
     options = parser.parse_args()
-    settings = settings_to_run()
+    settings = options_to_run()
     torch.set_num_threads(settings.threads)
     scene = _scene(options)
     truth = PlainShading.of(scene, torch.float64)
@@ -174,7 +174,7 @@ def main() -> None:
 def _scene(options: argparse.Namespace) -> ResolvedScene:
     thing = {"mesh": options.mesh, "material": options.material, "scale": options.scale, "color": [0.8, 0.6, 0.4]}
     spec = parse({"scene": {"objects": [thing], "camera": {"size": [448, 448]}}})
-    settings = settings_to_run()
+    settings = options_to_run()
     return resolve(spec.scene, Library(settings.cache_dir, settings.data_dir))
 
 

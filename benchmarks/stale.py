@@ -145,12 +145,12 @@ def fingerprints() -> dict[str, str]:
     """The fingerprint of each renderer and each network that ships. Computed once for the code as it is."""
     if (known := cached()) is not None:
         return known
-    from scene_attack.cli.settings import settings_to_run
     from scene_attack.rendering.opengl.context import gl_backend
+    from scene_attack.runs.environment import options_to_run
     from scene_attack.runs.extensions import set_up
     from scene_attack.scenes.library import Library
 
-    settings = settings_to_run()
+    settings = options_to_run()
     set_up(settings)
     library = Library(settings.cache_dir, settings.data_dir)
     result = {"torch": renderer_print("torch", library)}

@@ -23,14 +23,14 @@ import torch
 from benchmarks.report import RESULTS, save
 from benchmarks.views import right
 from scene_attack.attacks.problem import AttackProblem, evaluate
-from scene_attack.cli.settings import settings_to_run
+from scene_attack.process import ALLOCATOR
 from scene_attack.rendering.opengl import context
 from scene_attack.rendering.pyrender.planner import both_sides
+from scene_attack.runs.environment import options_to_run
 from scene_attack.runs.prepare import prepare
 from scene_attack.runs.spec import parse
 from scene_attack.scenes.library import Library
 from scene_attack.scenes.resolve import ResolvedScene
-from scene_attack_service.jobs.processes import ALLOCATOR
 
 SEED = 0
 LIMIT = 1.5
@@ -46,7 +46,7 @@ def main() -> None:
     options = parser.parse_args()
     if any(os.environ.get(name) != value for name, value in ALLOCATOR.items()):
         os.execve(sys.executable, [sys.executable, "-m", "benchmarks.zoo_step", *sys.argv[1:]], os.environ | ALLOCATOR)
-    settings = settings_to_run()
+    settings = options_to_run()
     torch.set_num_threads(settings.threads)
     library = Library(settings.cache_dir, settings.data_dir)
     rows = [_measure(library, mesh, label, options.repeats) for mesh, label in right(library, options.views)]

@@ -10,11 +10,11 @@ from pathlib import Path
 import torch
 from PIL import Image
 
-from scene_attack.cli.settings import settings_to_run
 from scene_attack.rendering.color import to_bytes
 from scene_attack.rendering.opengl.gbuffer import rasterise
 from scene_attack.rendering.torch.dsbrdf import presets
 from scene_attack.rendering.torch.renderer import TorchRenderer
+from scene_attack.runs.environment import options_to_run
 from scene_attack.scenes.description import Scene
 from scene_attack.scenes.library import Library
 from scene_attack.scenes.resolve import resolve
@@ -29,7 +29,7 @@ def main() -> None:
     parser.add_argument("--mesh", default="primitive/sphere", help="one row of images per preset shows this mesh")
     parser.add_argument("--size", type=int, default=160, help="pixels a side of one image")
     arguments = parser.parse_args()
-    settings = settings_to_run()
+    settings = options_to_run()
     library = Library(settings.cache_dir, settings.data_dir)
     rows = []
     for material in presets():

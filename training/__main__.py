@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from scene_attack_service.settings import Settings
+    from scene_attack.options import Options
     from training.loop import Said
 
 OUT = Path("out/training")
@@ -44,10 +44,10 @@ def split(
     from scene_attack.cli.specs import local_library
     from training.split import PATH, make, save
 
-    settings = settings_to_train()
+    options = options_to_train()
     command = f"python -m training split --seed {seed}"
     with err().status("") as line:
-        result = make(local_library(settings), settings.cache_dir, seed, command, lambda words: line.update(words))
+        result = make(local_library(options), options.cache_dir, seed, command, lambda words: line.update(words))
     save(result, out or PATH)
     held_out, training = (len(result.models(side)) for side in ("held_out", "training"))
     err().print(
@@ -106,7 +106,7 @@ def iep(
 
     if weights is not None and not check:
         raise InvalidRequest("--weights", "it is for --check")
-    library = local_library(settings_to_train())
+    library = local_library(options_to_train())
     end = None if seconds_budget is None else time.monotonic() + seconds_budget
 
     def over() -> bool:
@@ -141,12 +141,12 @@ def _train(name: str, minutes: float | None, epochs: int | None, out: Path, seed
 
     if not export and (minutes is None) == (epochs is None):
         raise InvalidRequest("--minutes", "give either --minutes or --epochs")
-    settings = settings_to_train()
-    library, recipe, chosen = local_library(settings), RECIPES[name], committed()
+    options = options_to_train()
+    library, recipe, chosen = local_library(options), RECIPES[name], committed()
     checkpoint = out / f"{name}.checkpoint"
     with _telling() as said:
         if not export:
-            data = gather(library, settings.cache_dir, recipe, chosen.models("training"), seed, said)
+            data = gather(library, options.cache_dir, recipe, chosen.models("training"), seed, said)
             training = Training(recipe, len(chosen.classes), data, seed, checkpoint)
             if training.loop.step:
                 err().print(f"goes on from step {training.loop.step:,} of {checkpoint}", markup=False, highlight=False)
@@ -159,7 +159,7 @@ def _train(name: str, minutes: float | None, epochs: int | None, out: Path, seed
             training.run(Budget(minutes, epochs), report)
             del data, training
         trained = load_trained(recipe, len(chosen.classes), checkpoint)
-        written = write(recipe, trained, chosen, library, settings.cache_dir, out, said)
+        written = write(recipe, trained, chosen, library, options.cache_dir, out, said)
     stdout().print(written.summary, markup=False, highlight=False)
 
 
@@ -187,15 +187,15 @@ def _telling() -> "Iterator[Said]":
         yield said
 
 
-def settings_to_train() -> "Settings":
-    """The settings of the environment, by which this process and torch's threads are set up."""
+def options_to_train() -> "Options":
+    """The options of the environment, by which this process and torch's threads are set up."""
     import torch
 
-    from scene_attack.cli.settings import settings_to_run
+    from scene_attack.runs.environment import options_to_run
 
-    settings = settings_to_run()
-    torch.set_num_threads(settings.threads)
-    return settings
+    options = options_to_run()
+    torch.set_num_threads(options.threads)
+    return options
 
 
 def main() -> None:

@@ -12,12 +12,12 @@ from scene_attack.errors import InvalidFields, InvalidRequest
 if TYPE_CHECKING:
     from torch import Tensor, nn
 
+    from scene_attack.options import Options
     from scene_attack.runs.execute import Progress
     from scene_attack.runs.result import Result
     from scene_attack.runs.spec import JobSpec
     from scene_attack.targets.custom.card import Preprocessing
     from scene_attack.targets.protocol import Target
-    from scene_attack_service.settings import Settings
 
 
 def attack(
@@ -47,8 +47,8 @@ def attack(
     from torch import nn
 
     from scene_attack.cli.result_folder import check_free, prepare_folder
-    from scene_attack.cli.settings import read_settings
     from scene_attack.cli.specs import local_library
+    from scene_attack.runs.environment import read_options
     from scene_attack.runs.execute import execute
     from scene_attack.runs.extensions import set_up
     from scene_attack.targets.custom.loading import describe
@@ -57,18 +57,18 @@ def attack(
     for argument, value in (("scene", scene), ("spec", {} if spec is None else spec)):
         if not isinstance(value, Mapping):
             raise InvalidRequest(argument, f"must be a dictionary, as a request has it, not {type(value).__name__}")
-    settings = read_settings()
-    set_up(settings)
+    options = read_options()
+    set_up(options)
     target = _target(name, model, labels, preprocessing)
     card = describe(name, target, "imagenet" if labels == "imagenet" else "custom")
     with registered(card, target), TemporaryDirectory() as folder:
-        job = _spec(scene, name, spec or {}, settings)
+        job = _spec(scene, name, spec or {}, options)
         if out is not None:
             module = isinstance(model, nn.Module) or hasattr(model, "logits")
             # Nobody knows whether two functions are the same: a folder with a result of one is never free.
             check_free(Path(out), job, "out", (target.weights_sha256, card.card_sha256) if module else ())
             prepare_folder(Path(out), "out")
-        return execute(job, Path(folder) if out is None else Path(out), local_library(settings), progress=progress)
+        return execute(job, Path(folder) if out is None else Path(out), local_library(options), progress=progress)
 
 
 def _target(name: str, model: Any, labels: Any, preprocessing: Any) -> Target:
@@ -115,14 +115,14 @@ def _labels(labels: Any) -> tuple[str, ...]:
     return tuple(labels)
 
 
-def _spec(scene: Mapping[str, Any], name: str, spec: Mapping[str, Any], settings: Settings) -> JobSpec:
+def _spec(scene: Mapping[str, Any], name: str, spec: Mapping[str, Any], options: Options) -> JobSpec:
     from scene_attack.cli.specs import parsed
     from scene_attack.runs.spec import parse
 
     for field, argument in (("scene", "scene"), ("target", "model")):
         if field in spec:
             raise InvalidRequest(f"spec.{field}", f"is given by the argument `{argument}`; leave it out of the spec")
-    return parsed(parse, {"scene": dict(scene), "target": {"name": name}, **spec}, Path.cwd(), settings)
+    return parsed(parse, {"scene": dict(scene), "target": {"name": name}, **spec}, Path.cwd(), options)
 
 
 def _preprocessing(fields: Any) -> Preprocessing:

@@ -3,12 +3,17 @@ its own parts, and how large a file may be. The defaults work on a laptop.
 """
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Literal
+from types import MappingProxyType
+from typing import Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from scene_attack.addresses import endpoint_mistake
+
+PREFIX = "SCENE_ATTACK_"
+"""Beginning of the names of environment variables."""
 
 
 class Options(BaseModel):
@@ -17,11 +22,16 @@ class Options(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     cache: Path = Field(Path("~/.cache/scene-attack"), description="downloaded and derived files; safe to delete")
+    data: Path = Field(Path("~/.local/share/scene-attack"), description="database, artifacts, uploaded assets")
+    artifact_url: str | None = Field(
+        None, description="URL of a store for artifacts and uploads, s3://bucket/folder; default: the data directory"
+    )
     device: str = Field(
         "auto",
         pattern=r"^(auto|cpu|cuda(:[0-9]{1,2})?)$",
         description="where networks and the torch renderer compute: auto (CUDA if there is one), cpu, cuda, cuda:N",
     )
+    threads: int = Field(2, ge=1, le=256, description="torch threads of a job process; part of the backend string")
     extensions: str | None = Field(
         None,
         description="files, or folders of .py files, with attacks, renderers and targets of your own; separated as in "
@@ -62,7 +72,7 @@ class Options(BaseModel):
                 raise ValueError(f"{part!r} can never match: {refusal}")
         return value
 
-    @field_validator("cache", "targets", "kernel_dir")
+    @field_validator("cache", "data", "targets", "kernel_dir")
     @classmethod
     def _has_a_home(cls, value: Path | None) -> Path | None:
         return with_a_home(value)
@@ -71,6 +81,16 @@ class Options(BaseModel):
     def cache_dir(self) -> Path:
         """The cache directory, absolute."""
         return self.cache.expanduser().resolve()
+
+    @property
+    def data_dir(self) -> Path:
+        """The data directory, absolute."""
+        return self.data.expanduser().resolve()
+
+    @property
+    def files(self) -> Path | str:
+        """Location of artifacts and uploads: the URL of a store, or the data directory."""
+        return self.artifact_url or self.data_dir
 
     @property
     def kernel_folder(self) -> Path:
@@ -96,6 +116,19 @@ class Options(BaseModel):
     def allowed_endpoints(self) -> frozenset[str]:
         """The URLs that cards may name, and the private addresses that these may have."""
         return listed(self.target_endpoints)
+
+    def environ(self) -> dict[str, str]:
+        """Returns the environment variables that give a child process these options."""
+        values = {name: getattr(self, name) for name in type(self).model_fields}
+        return {f"{PREFIX}{name.upper()}": str(value) for name, value in values.items() if value is not None}
+
+    @classmethod
+    def of_environment(cls, given: Mapping[str, object] = MappingProxyType({})) -> Self:
+        """The options of the environment's variables, SCENE_ATTACK_ and the option's name, with the `given` ones over
+        them. An empty variable is none. Raises pydantic.ValidationError.
+        """
+        variables = {name: os.environ.get(f"{PREFIX}{name.upper()}") for name in cls.model_fields}
+        return cls.model_validate({name: value for name, value in variables.items() if value} | dict(given))
 
 
 def with_a_home(path: Path | None) -> Path | None:

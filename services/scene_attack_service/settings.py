@@ -3,13 +3,18 @@
 A process or a command makes its `Settings()` once, where it begins, and passes them on as an argument.
 """
 
-from pathlib import Path
+from collections.abc import Mapping
 
-from pydantic import Field, field_validator
+from pydantic import Field, ValidationError, field_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from scene_attack.addresses import host_mistake
-from scene_attack.options import Options, listed, with_a_home
+from scene_attack.options import PREFIX, Options, listed
+from scene_attack.runs.environment import invalid_options
+from scene_attack.text import did_you_mean
+
+COMMAND_LINE = ("SCENE_ATTACK_URL", "SCENE_ATTACK_KEY")
+"""Variables that are no settings of the service: where a client finds it, and with which key."""
 
 
 class Settings(Options, BaseSettings):
@@ -18,15 +23,11 @@ class Settings(Options, BaseSettings):
     `scene-attack serve --help` and docs/operations.md describe them.
     """
 
-    model_config = SettingsConfigDict(env_prefix="SCENE_ATTACK_", env_ignore_empty=True, frozen=True)
+    model_config = SettingsConfigDict(env_prefix=PREFIX, env_ignore_empty=True, frozen=True)
 
-    data: Path = Field(Path("~/.local/share/scene-attack"), description="database, artifacts, uploaded assets")
     database_url: str | None = Field(
         None,
         description="SQLAlchemy URL, of PostgreSQL for several machines; default: SQLite (WAL) in the data directory",
-    )
-    artifact_url: str | None = Field(
-        None, description="URL of a store for artifacts and uploads, s3://bucket/folder; default: the data directory"
     )
     redis_url: str | None = Field(
         None, description="redis:// URL, or rediss:// for TLS, with its password; default: an embedded Redis"
@@ -38,7 +39,6 @@ class Settings(Options, BaseSettings):
         description="names by which clients may call the service besides those of loopback, separated by commas",
     )
     workers: int = Field(1, ge=1, le=64, description="job processes")
-    threads: int = Field(2, ge=1, le=256, description="torch threads of a job process; part of the backend string")
     check_seconds: float = Field(
         5.0,
         gt=0,
@@ -86,11 +86,6 @@ class Settings(Options, BaseSettings):
                 raise ValueError(f"{part!r} can never match: {refusal}")
         return value
 
-    @field_validator("data")
-    @classmethod
-    def _data_has_a_home(cls, value: Path) -> Path | None:
-        return with_a_home(value)
-
     @field_validator("database_url")
     @classmethod
     def _is_kept(cls, value: str | None) -> str | None:
@@ -99,25 +94,29 @@ class Settings(Options, BaseSettings):
         return value
 
     @property
-    def data_dir(self) -> Path:
-        """The data directory, absolute."""
-        return self.data.expanduser().resolve()
-
-    @property
-    def files(self) -> Path | str:
-        """Location of artifacts and uploads: the URL of a store, or the data directory."""
-        return self.artifact_url or self.data_dir
-
-    @property
     def own_hosts(self) -> frozenset[str]:
         """The names by which clients may call the service, besides loopback's: those listed, and its own address."""
         named = {host.lower() for host in listed(self.hosts)}
         return frozenset(named | {self.host.lower()}) - {"", "0.0.0.0", "::"}
 
-    def environ(self) -> dict[str, str]:
-        """Returns the environment variables that give a child process these settings."""
-        values = {name: getattr(self, name) for name in type(self).model_fields}
-        return {f"SCENE_ATTACK_{name.upper()}": str(value) for name, value in values.items() if value is not None}
+
+def read_settings(**given: object) -> Settings:
+    """The settings of the environment, with the `given` options over them; None stands for an option left out.
+
+    Raises InvalidFields, which names each wrong option or variable.
+    """
+    chosen = {name: value for name, value in given.items() if value is not None}
+    try:
+        return Settings(**chosen)  # type: ignore[arg-type]
+    except ValidationError as error:
+        raise invalid_options(error, chosen) from error
+
+
+def unknown_variables(environ: Mapping[str, str]) -> dict[str, str]:
+    """The variables of an environment that look like settings and are none, each with its error."""
+    known = [*(f"{PREFIX}{name.upper()}" for name in Settings.model_fields), *COMMAND_LINE]
+    unknown = sorted(name for name in environ if name.startswith(PREFIX) and name not in known)
+    return {name: f"there is no such setting{did_you_mean(name, known)}" for name in unknown}
 
 
 DEFAULTS = Settings.model_construct()

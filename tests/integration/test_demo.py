@@ -11,7 +11,7 @@ import httpx
 import psutil
 import pytest
 
-from scene_attack.cli.commands.demo import ATTACKS, QUESTION
+from scene_attack_worker.commands.demo import ATTACKS, QUESTION
 from tests.integration.conftest import PATIENCE
 
 pytestmark = pytest.mark.integration
@@ -41,7 +41,7 @@ ONE_SCENE = """
 import sys
 
 from scene_attack.__main__ import main
-from scene_attack.cli.commands import demo
+from scene_attack_worker.commands import demo
 
 demo.SCENES = {"power drill": demo.SCENES["power drill"]}
 sys.argv = ["scene-attack", "demo", "--once"]
@@ -84,7 +84,7 @@ RUNS_SERVICE = """
 import sys
 from pathlib import Path
 
-from scene_attack.cli.commands.demo import running_service
+from scene_attack_worker.commands.demo import running_service
 
 sys.executable = sys.argv[1]
 with running_service(Path(sys.argv[2]), {}) as (url, process):

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from scene_attack.cli.checkup import database
+from scene_attack_service.checkup import database
 from scene_attack_service.settings import Settings
 from tests.integration.machine import Machine
 

@@ -17,8 +17,8 @@ from threading import Thread
 from typing import TypeVar
 
 from scene_attack.errors import JobFailure
+from scene_attack.options import Options
 from scene_attack.process import use
-from scene_attack_service.settings import Settings
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -81,13 +81,13 @@ def _pool(count: int) -> Iterator[ProcessPoolExecutor]:
 
 
 def _prepare(parent: Connection) -> None:
-    """Prepares a process of a pool: it ends with its parent, leaves Ctrl-C to it, has the settings of the environment,
+    """Prepares a process of a pool: it ends with its parent, leaves Ctrl-C to it, has the options of the environment,
     and uses one thread.
     """
     Thread(target=_end_with, args=(parent,), daemon=True).start()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.environ |= {"OMP_NUM_THREADS": "1", "LP_NUM_THREADS": "1"}  # the second is that of OpenGL in software
-    use(Settings())
+    use(Options.of_environment())
     import torch
 
     torch.set_num_threads(1)

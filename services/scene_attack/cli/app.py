@@ -1,11 +1,15 @@
-"""The command line `scene-attack`. Its exit code is 0 on success, 1 on failure, 2 for bad input."""
+"""The command line `scene-attack`. Its exit code is 0 on success, 1 on failure, 2 for bad input.
+
+Other packages add commands by an entry point of the group `scene_attack.commands`: a function of the Typer app.
+"""
 
 import sys
+from importlib.metadata import entry_points
 from typing import Annotated, NoReturn
 
 import typer
 
-from scene_attack.cli.commands import accuracy, analyse, assets, campaign, demo, export, jobs, keys, run, serve, targets
+from scene_attack.cli.commands import analyse, assets, campaign, doctor, export, jobs, run, targets
 from scene_attack.errors import InvalidRequest, JobFailure
 
 app = typer.Typer(
@@ -35,14 +39,14 @@ def _root(
     pass
 
 
-for part in (run.app, analyse.app, export.app, jobs.submitting, serve.app, demo.app):
+for part in (run.app, analyse.app, export.app, jobs.submitting, doctor.app):
     app.add_typer(part)
 app.add_typer(jobs.app, name="jobs")
 app.add_typer(campaign.app, name="campaign")
 app.add_typer(assets.app, name="assets")
-app.add_typer(keys.app, name="keys")
 app.add_typer(targets.app, name="targets")
-app.add_typer(accuracy.app, name="accuracy")
+for entry in sorted(entry_points(group="scene_attack.commands")):
+    entry.load()(app)
 
 
 def main() -> None:

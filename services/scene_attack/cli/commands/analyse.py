@@ -9,8 +9,8 @@ from scene_attack.cli.commands.options import JsonOption
 from scene_attack.cli.console import print_found, print_json, remark
 
 if TYPE_CHECKING:
+    from scene_attack.options import Options
     from scene_attack.runs.analyse import StoredAnalysis
-    from scene_attack_service.settings import Settings
 
 ANALYSES = "analyses.json"
 
@@ -44,10 +44,10 @@ def analyse(
     The table of subsets and the groups' Shapley values are always made; options ask for more. All of it is written to
     analyses.json in the directory.
     """
-    from scene_attack.cli.settings import settings_to_run
     from scene_attack.cli.tables import print_analyses, print_subsets
+    from scene_attack.runs.environment import options_to_run
 
-    settings = settings_to_run()
+    options = options_to_run()
     request: dict[str, Any] = {
         "minimal": {} if minimal else None,
         "coordinates": {"images": images} if coordinates else None,
@@ -56,7 +56,7 @@ def analyse(
         "rerendering": {"steps": steps} if defend else None,
         "adaptive": {} if adaptive else None,
     }
-    result = _analyse(directory, request, settings)
+    result = _analyse(directory, request, options)
     (directory / ANALYSES).write_text(result.model_dump_json(indent=1) + "\n", "utf-8")
     if as_json:
         print_json(result)
@@ -66,7 +66,7 @@ def analyse(
     remark(f"Written to {directory / ANALYSES}")
 
 
-def _analyse(directory: Path, request: dict[str, Any], settings: "Settings") -> "StoredAnalysis":
+def _analyse(directory: Path, request: dict[str, Any], options: "Options") -> "StoredAnalysis":
     from scene_attack.cli.commands.run import library
     from scene_attack.cli.progress import JobLine
     from scene_attack.cli.result_folder import check_finished
@@ -74,7 +74,7 @@ def _analyse(directory: Path, request: dict[str, Any], settings: "Settings") -> 
     check_finished(directory)
     with JobLine(str(directory)) as line:
         line.update("loading", 0, 1, None)
-        assets = library(settings)
+        assets = library(options)
         from scene_attack.analysis.records import AnalysisRequest
         from scene_attack.runs.analyse import analyse_stored
 
@@ -108,14 +108,14 @@ def rerender(
     from scene_attack.analysis.records import RerenderingRequest
     from scene_attack.cli.commands.run import library
     from scene_attack.cli.progress import JobLine
-    from scene_attack.cli.settings import settings_to_run
     from scene_attack.cli.specs import read_job
     from scene_attack.cli.tables import rerendering_table
     from scene_attack.errors import InvalidFields, InvalidRequest
+    from scene_attack.runs.environment import options_to_run
     from scene_attack.runs.field_errors import in_words
 
-    settings = settings_to_run()
-    job = read_job(spec, settings)
+    options = options_to_run()
+    job = read_job(spec, options)
     try:
         request = RerenderingRequest.model_validate({"steps": steps, "rate": rate, "optimiser": optimiser})
     except ValidationError as error:
@@ -123,7 +123,7 @@ def rerender(
         raise InvalidFields(wrong) from error
     with JobLine(image.name) as line:
         line.update("loading", 0, 1, None)
-        assets = library(settings)
+        assets = library(options)
         from scene_attack.analysis.images import load_png, save_png
         from scene_attack.runs.analyse import rerender_image
 

@@ -26,12 +26,10 @@ def list_assets(
     as_json: JsonOption = False,
 ) -> None:
     """List the meshes of this machine, with their creators and licences."""
-    from scene_attack.cli.settings import read_settings
     from scene_attack.cli.specs import local_library
+    from scene_attack.runs.environment import read_options
 
-    matching = local_library(read_settings()).entries(
-        category=category, creator=creator, licence=licence, search=search
-    )
+    matching = local_library(read_options()).entries(category=category, creator=creator, licence=licence, search=search)
     entries = [entry for entry in matching if entry.kind != "environment"]
     rows = [[e.name, e.title, e.category or "", e.creator or "", e.licence or ""] for e in entries]
     shown = FittedTable(("mesh", "title", "category", "creator", "licence"), rows, spare=("category", "title"))
@@ -42,10 +40,10 @@ def list_assets(
 @app.command(epilog="Example: [bold]scene-attack assets show furniture/grand-piano[/bold]")
 def show(mesh: Annotated[str, typer.Argument(help="A name from `assets list`.")], as_json: JsonOption = False) -> None:
     """Show one mesh: its parts, size, hash and creator."""
-    from scene_attack.cli.settings import read_settings
     from scene_attack.cli.specs import local_library
+    from scene_attack.runs.environment import read_options
 
-    library = local_library(read_settings())
+    library = local_library(read_options())
     loaded, entry = library.mesh(mesh), library.entry(mesh)
     facts: dict[str, Any] = {
         "mesh": mesh,
@@ -148,10 +146,10 @@ def delete(
 @app.command(epilog="Example: [bold]scene-attack assets environments[/bold]")
 def environments(as_json: JsonOption = False) -> None:
     """List the environment maps of this machine, with their creators and licences."""
-    from scene_attack.cli.settings import read_settings
     from scene_attack.cli.specs import local_library
+    from scene_attack.runs.environment import read_options
 
-    library = local_library(read_settings())
+    library = local_library(read_options())
     uploaded = [entry for entry in library.entries(category="upload") if entry.kind == "environment"]
     entries = [*library.environments(), *uploaded]
     rows = [[entry.name, entry.title, entry.creator, entry.licence, entry.credit or ""] for entry in entries]

@@ -48,20 +48,20 @@ def run(
     from scene_attack.cli.campaigns import CampaignLine, results
     from scene_attack.cli.commands.run import keep_memory, library
     from scene_attack.cli.result_folder import prepare_folder
-    from scene_attack.cli.settings import settings_to_run
     from scene_attack.cli.specs import read_campaign
     from scene_attack.runs.campaign_plan import nothing_chosen
     from scene_attack.runs.check import check_size
+    from scene_attack.runs.environment import options_to_run
     from scene_attack.scenes.furniture import slugify
 
-    settings = settings_to_run()
+    options = options_to_run()
     keep_memory()
     report_extensions()
-    campaign = read_campaign(spec, settings)
+    campaign = read_campaign(spec, options)
     check_size(campaign)
     folder = out or Path("out") / (slugify(campaign.name) or "campaign")
     prepare_folder(folder)
-    assets = library(settings)
+    assets = library(options)
     from scene_attack.runs.campaign_plan import write
     from scene_attack.runs.campaign_run import run_campaign
     from scene_attack.runs.check import check_samples

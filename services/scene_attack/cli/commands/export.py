@@ -50,14 +50,14 @@ def _export_folder(folder: Path, to: Path | None) -> Path:
     from scene_attack import disk
     from scene_attack.cli.commands.run import library
     from scene_attack.cli.progress import JobLine
-    from scene_attack.cli.settings import settings_to_run
+    from scene_attack.runs.environment import options_to_run
 
-    settings = settings_to_run()
+    options = options_to_run()
     name = f"{folder.resolve().name}-export"
     to = to or Path(f"{name}.zip")
     with JobLine(str(folder)) as line:
         line.update("loading", 0, 1, None)
-        assets = library(settings)
+        assets = library(options)
         from scene_attack.export.bundle import into_folder, write_bundle, zipped
 
         files = {path.name: path.read_bytes for path in folder.iterdir() if path.is_file()}

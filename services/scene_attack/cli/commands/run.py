@@ -23,11 +23,11 @@ if TYPE_CHECKING:
     from rich.text import Text
 
     from scene_attack.cli.progress import JobLine
+    from scene_attack.options import Options
     from scene_attack.runs.execute import Progress
     from scene_attack.runs.result import PlannedCost, Result
     from scene_attack.runs.spec import JobSpec
     from scene_attack.scenes.library import Library
-    from scene_attack_service.settings import Settings
 
 
 app = typer.Typer()
@@ -50,23 +50,23 @@ def run(
     """
     from scene_attack.cli.progress import JobLine
     from scene_attack.cli.result_folder import check_free, prepare_folder
-    from scene_attack.cli.settings import settings_to_run
     from scene_attack.cli.specs import local_library, read_job
     from scene_attack.cli.tables import COLUMNS, cells, goal_line, print_analyses, print_answered, print_subsets
+    from scene_attack.runs.environment import options_to_run
     from scene_attack.runs.spec import attack_name, job_name
 
-    settings = settings_to_run()
+    options = options_to_run()
     keep_memory()
     report_extensions()
-    job = read_job(spec, settings, seed)
+    job = read_job(spec, options, seed)
     check_free(out, job)
     prepare_folder(out)
     words = job.model_dump(mode="json")
-    titles = local_library(settings).titles(thing.mesh for thing in job.scene.objects)
+    titles = local_library(options).titles(thing.mesh for thing in job.scene.objects)
     name, attack = job_name(words, titles), attack_name(words)
     try:
         with JobLine(f"{name}, {attack}") as line:
-            result = _execute(job, out, settings, line)
+            result = _execute(job, out, options, line)
     except KeyboardInterrupt:
         remark("Interrupted; the same command goes on from the last checkpoint.")
         raise
@@ -85,7 +85,7 @@ def run(
     remark(*(f"Shown: {credit}" for credit in result.provenance.credits), f"Files in {out}")
 
 
-def _execute(spec: "JobSpec", out: Path, settings: "Settings", line: "JobLine") -> "Result":
+def _execute(spec: "JobSpec", out: Path, options: "Options", line: "JobLine") -> "Result":
     """Runs the job; a checkpoint in `out` is resumed from if it is of this very job, and removed at the end."""
     from scene_attack.cli.tables import warn
     from scene_attack.errors import InvalidRequest
@@ -104,7 +104,7 @@ def _execute(spec: "JobSpec", out: Path, settings: "Settings", line: "JobLine") 
         result = execute(
             spec,
             out,
-            library(settings),
+            library(options),
             progress=report,
             checkpoint=checkpoint,
             checked=lambda _, warnings: warn(warnings),
@@ -122,15 +122,14 @@ def keep_memory() -> None:
     import os
     import sys
 
-    from scene_attack.process import program
-    from scene_attack_service.jobs.processes import ALLOCATOR
+    from scene_attack.process import ALLOCATOR, program
 
     if not ALLOCATOR.keys() <= os.environ.keys():
         os.execve(sys.executable, program("scene_attack", *sys.argv[1:]), os.environ | ALLOCATOR)
 
 
-def library(settings: "Settings") -> "Library":
-    """Meshes and maps of this machine, and torch with as many threads as the settings say."""
+def library(options: "Options") -> "Library":
+    """Meshes and maps of this machine, and torch with as many threads as the options say."""
     import gc
 
     gc.disable()  # importing torch makes objects by the hundred thousand, all to stay; looking for garbage takes 0.3 s
@@ -140,8 +139,8 @@ def library(settings: "Settings") -> "Library":
     gc.enable()
     from scene_attack.cli.specs import local_library
 
-    torch.set_num_threads(settings.threads)
-    return local_library(settings)
+    torch.set_num_threads(options.threads)
+    return local_library(options)
 
 
 @app.command(epilog="Example: [bold]scene-attack replay out/combined[/bold]")
@@ -155,14 +154,14 @@ def replay(
     labels agree and, on the same backend, nothing differs; otherwise it is 1.
     """
     from scene_attack.cli.result_folder import check_finished
-    from scene_attack.cli.settings import settings_to_run
+    from scene_attack.runs.environment import options_to_run
 
-    settings = settings_to_run()
+    options = options_to_run()
     check_finished(directory)
     with err().status("rendering"):
         from scene_attack.runs.replay import replay as render_again
 
-        again = render_again(directory, library(settings), settings)
+        again = render_again(directory, library(options), options)
     row: list[str | Text] = [
         answer_text(again.stored),
         answer_text(again.replayed),
@@ -178,14 +177,14 @@ def replay(
         raise typer.Exit(1)
 
 
-def _read(spec: str) -> "tuple[Settings, JobSpec]":
-    """The settings by which this process is set up, and the job in a file. Names the extensions that were left out."""
-    from scene_attack.cli.settings import settings_to_run
+def _read(spec: str) -> "tuple[Options, JobSpec]":
+    """The options by which this process is set up, and the job in a file. Names the extensions that were left out."""
     from scene_attack.cli.specs import read_job
+    from scene_attack.runs.environment import options_to_run
 
-    settings = settings_to_run()
+    options = options_to_run()
     report_extensions()
-    return settings, read_job(spec, settings)
+    return options, read_job(spec, options)
 
 
 @app.command(epilog="Example: [bold]scene-attack plan examples/torch-combined.json[/bold]")
@@ -200,9 +199,9 @@ def plan(
     no attack; it draws the scene, asks the network twice, and measures errors of images and gradients. A job that
     cannot run ends with the same error as in `run`.
     """
-    settings, job = _read(spec)
+    options, job = _read(spec)
     with err().status("loading") as line:
-        assets = library(settings)
+        assets = library(options)
         from scene_attack.runs.preview import planned_cost
 
         line.update("planning")
@@ -260,11 +259,11 @@ def render(
     from scene_attack.cli.tables import warn
     from scene_attack.errors import InvalidRequest
 
-    settings, job = _read(spec)
+    options, job = _read(spec)
     if out is not None and not out.parent.is_dir():
         raise InvalidRequest("--out", f"there is no folder {out.parent}; make it first")
     with err().status("loading") as line:
-        assets = library(settings)
+        assets = library(options)
         from scene_attack.analysis.images import save_png
         from scene_attack.runs.preview import preview
 

@@ -34,11 +34,11 @@ def targets(context: typer.Context, as_json: JsonOption = False) -> None:
     """List the networks that can be attacked."""
     if context.invoked_subcommand is not None:
         return
-    from scene_attack.cli.settings import read_settings
+    from scene_attack.runs.environment import read_options
     from scene_attack.runs.extensions import set_up
     from scene_attack.targets.info import available
 
-    set_up(read_settings())
+    set_up(read_options())
     report_extensions()
     report_targets()
     networks = available()
@@ -66,12 +66,12 @@ def check(
     The exit code is 2 if it cannot be used; the message says why.
     """
     from scene_attack.cli.commands.run import library
-    from scene_attack.cli.settings import settings_to_run
+    from scene_attack.runs.environment import options_to_run
 
-    settings = settings_to_run()
+    options = options_to_run()
     report_extensions()
     with err().status("loading") as line:
-        assets = library(settings)
+        assets = library(options)
         from scene_attack.runs.target_check import check as try_target
 
         checked = try_target(name, mesh, assets, line.update)

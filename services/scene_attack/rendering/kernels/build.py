@@ -19,8 +19,8 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from scene_attack.errors import InvalidRequest
+from scene_attack.options import Options
 from scene_attack.process import options, use
-from scene_attack_service.settings import Settings
 
 CPUINFO = Path("/proc/cpuinfo")
 FEATURES_BY_MACRO = {
@@ -233,7 +233,7 @@ def _output(*command: str) -> str:
 
 
 if __name__ == "__main__":
-    use(Settings())
+    use(Options.of_environment())
     try:
         path, _ = library_path()
     except subprocess.CalledProcessError as error:

@@ -52,9 +52,9 @@ def create(
 
     From the first key on, the service answers nobody without one, on this machine either.
     """
-    from scene_attack.cli.settings import read_settings
     from scene_attack.errors import InvalidRequest
     from scene_attack_service.access.caller import Scope
+    from scene_attack_service.settings import read_settings
 
     known = [choice.value for choice in Scope]
     for word in scope or ():
@@ -77,7 +77,7 @@ def create(
 @app.command("list", epilog="Example: [bold]scene-attack keys list[/bold]")
 def list_keys(data: DataOption = None, as_json: JsonOption = False) -> None:
     """List all keys, oldest first, also those that are revoked or have expired. No key's text is known."""
-    from scene_attack.cli.settings import read_settings
+    from scene_attack_service.settings import read_settings
 
     with _keys(read_settings(data=data)) as keys:
         all_keys = [_shown(key) for key in keys.all()]
@@ -97,8 +97,8 @@ def revoke(
     as_json: JsonOption = False,
 ) -> None:
     """End a key for good. Its next request is refused, and its sessions of the dashboard end."""
-    from scene_attack.cli.settings import read_settings
     from scene_attack.errors import InvalidRequest
+    from scene_attack_service.settings import read_settings
 
     settings = read_settings(data=data)
     with _keys(settings) as keys:

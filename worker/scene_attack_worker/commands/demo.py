@@ -75,11 +75,13 @@ def demo(
 
     The exit code is 0 if all jobs ran to their end.
     """
-    from scene_attack.cli.settings import settings_to_run
     from scene_attack.cli.tables import successes
     from scene_attack.client.client import Client
+    from scene_attack.runs.environment import options_to_run
+    from scene_attack_service.settings import read_settings
 
-    values = settings_to_run()
+    values = read_settings()
+    options_to_run()
     data = values.data_dir / "demo"
     remark("starting the service: networks and OpenGL are loaded once")
     with running_service(data, {"SCENE_ATTACK_PORT": str(_free_port(values.host, values.port))}) as (url, process):

@@ -30,12 +30,12 @@ def stability(
     """
     import torch
 
-    from scene_attack.cli.settings import settings_to_run
+    from scene_attack.runs.environment import options_to_run
     from scene_attack_accuracy.provenance import Provenance
     from scene_attack_accuracy.stability.case import observe
     from scene_attack_accuracy.stability.report import WORDS, Report, cases, write
 
-    torch.set_num_threads(settings_to_run().threads)
+    torch.set_num_threads(options_to_run().threads)
     chosen, observations = cases(quick), []
     with err().status("") as line:
         for number, case in enumerate(chosen, 1):
@@ -68,10 +68,10 @@ def work_precision(
     """
     import torch
 
-    from scene_attack.cli.settings import settings_to_run
+    from scene_attack.runs.environment import options_to_run
     from scene_attack_accuracy.work_precision import FULL, QUICK, measure, write
 
-    torch.set_num_threads(settings_to_run().threads)
+    torch.set_num_threads(options_to_run().threads)
     command = "scene-attack accuracy work-precision" + (" --quick" if quick else "")
     with err().status("") as line:
         result = measure(QUICK if quick else FULL, command, line.update)
@@ -79,3 +79,8 @@ def work_precision(
     if as_json:
         print_json(result)
     remark(f"Report in {out}")
+
+
+def add(root: typer.Typer) -> None:
+    """Adds these commands to those of `scene-attack`."""
+    root.add_typer(app, name="accuracy")
