@@ -19,7 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from rich.progress import track
 
 from benchmarks.report import RESULTS, head, save
-from scene_attack.attacks.fgsm import Fgsm
+from scene_attack.attacks.fgsm import FGSM
 from scene_attack.attacks.goal import ResolvedGoal
 from scene_attack.attacks.limits import Limits
 from scene_attack.attacks.problem import AttackProblem, Evaluation, differentiate, evaluate, quantize
@@ -171,7 +171,7 @@ def attack_errors(case: AttackedScene, library: Library, steps: int = STEPS) -> 
 def _errors(renderer: TorchRenderer, groups: tuple[str, ...], steps: int) -> Iterator[float]:
     """Yields the error of each image of an attack by FGSM with the paper's settings."""
     target = registry.load(TARGET)
-    settings = Fgsm(groups=groups, truncation=None)
+    settings = FGSM(groups=groups, truncation=None)
     start = renderer.exact().render({group: renderer.initial()[group][None].double() for group in groups})
     first = int(target.logits(quantize(start.float())[1])[0].argmax())
     problem = AttackProblem.of(

@@ -1,30 +1,128 @@
 """Finds out how a vision model fails when the scene changes a little: its light, a surface, a colour, a pose.
 
 import scene_attack as sa
+
+scene = sa.Scene(objects=[sa.Object(mesh="./chair.glb", material="plastic")])
+target = sa.target(module, labels=["chair", "table"])
+result = sa.attack(scene, target, sa.FGSM(renderer="torch"), goal=sa.Goal(truth="chair"))
+print(result.verified, result.attacked.label)
 """
 
 import os
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from scene_attack.attacks.apgd import APGD
+    from scene_attack.attacks.attack import Attack
+    from scene_attack.attacks.cma_es import CMAES
+    from scene_attack.attacks.fgsm import FGSM
+    from scene_attack.attacks.mi_fgsm import MIFGSM
+    from scene_attack.attacks.natural_gradient import NaturalGradient
+    from scene_attack.attacks.p_rgf import PRGF
+    from scene_attack.attacks.request import Expectation
+    from scene_attack.attacks.spsa import SPSA
+    from scene_attack.attacks.square import Square
+    from scene_attack.attacks.zoo import ZOO
     from scene_attack.client.client import AsyncClient, AsyncJob, Client, Job, images
     from scene_attack.client.errors import ApiError, Unfinished
-    from scene_attack.in_process import attack
+    from scene_attack.errors import InvalidRequest, JobFailure
+    from scene_attack.objects import Result, attack, load, renderer, target
+    from scene_attack.options import Options
+    from scene_attack.rendering.protocol import Renderer
+    from scene_attack.runs.campaign_spec import CampaignSpec as Campaign
+    from scene_attack.runs.campaign_spec import Grid
+    from scene_attack.runs.spec import Goal
+    from scene_attack.runs.spec import JobSpec as Spec
+    from scene_attack.scenes.description import Camera, Environment, Floor, Lights, PointLight, Scene
+    from scene_attack.scenes.description import SceneObject as Object
+    from scene_attack.targets.custom.card import Preprocessing
+    from scene_attack.targets.protocol import Target
 
-__all__ = ["ApiError", "AsyncClient", "AsyncJob", "Client", "Job", "Unfinished", "attack", "images"]
+__all__ = [
+    "APGD",
+    "CMAES",
+    "FGSM",
+    "MIFGSM",
+    "PRGF",
+    "SPSA",
+    "ZOO",
+    "ApiError",
+    "AsyncClient",
+    "AsyncJob",
+    "Attack",
+    "Camera",
+    "Campaign",
+    "Client",
+    "Environment",
+    "Expectation",
+    "Floor",
+    "Goal",
+    "Grid",
+    "InvalidRequest",
+    "Job",
+    "JobFailure",
+    "Lights",
+    "NaturalGradient",
+    "Object",
+    "Options",
+    "PointLight",
+    "Preprocessing",
+    "Renderer",
+    "Result",
+    "Scene",
+    "Spec",
+    "Square",
+    "Target",
+    "Unfinished",
+    "attack",
+    "images",
+    "load",
+    "renderer",
+    "target",
+]
 
 # OpenMP threads spin at every barrier by default. With more busy threads than cores, as beside other workers, that cost
 # torch a factor of 10 to 30 (measured, 2 threads on 2 shared cores). Read when torch is loaded, so set here, before.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
-_MODULES = {"ApiError": "client.errors", "Unfinished": "client.errors", "attack": "in_process"}
-"""The module of each name; all others are in `client.client`."""
+_PLACES = {
+    **dict.fromkeys(("Scene", "Camera", "Lights", "PointLight", "Environment", "Floor"), "scenes.description"),
+    "Object": "scenes.description:SceneObject",
+    "Target": "targets.protocol",
+    "Preprocessing": "targets.custom.card",
+    "FGSM": "attacks.fgsm",
+    "MIFGSM": "attacks.mi_fgsm",
+    "APGD": "attacks.apgd",
+    "ZOO": "attacks.zoo",
+    "SPSA": "attacks.spsa",
+    "Square": "attacks.square",
+    "PRGF": "attacks.p_rgf",
+    "CMAES": "attacks.cma_es",
+    "NaturalGradient": "attacks.natural_gradient",
+    "Attack": "attacks.attack",
+    "Goal": "runs.spec",
+    "Expectation": "attacks.request",
+    "Renderer": "rendering.protocol",
+    **dict.fromkeys(("target", "renderer", "attack", "Result", "load"), "objects"),
+    "Spec": "runs.spec:JobSpec",
+    "Campaign": "runs.campaign_spec:CampaignSpec",
+    "Grid": "runs.campaign_spec",
+    "Options": "options",
+    **dict.fromkeys(("InvalidRequest", "JobFailure"), "errors"),
+    **dict.fromkeys(("Client", "AsyncClient", "Job", "AsyncJob", "images"), "client.client"),
+    **dict.fromkeys(("ApiError", "Unfinished"), "client.errors"),
+}
+"""The module of each name; "module:name" where it is defined under another name."""
 
 
 def __getattr__(name: str) -> Any:
-    """Imports what is asked for: a command line that starts needs none of it."""
-    from importlib import import_module
-
-    if name not in __all__:
+    """Imports what is asked for: importing the package takes none of it."""
+    if name not in _PLACES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_MODULES.get(name, 'client.client')}"), name)
+    module, _, defined = _PLACES[name].partition(":")
+    return getattr(import_module(f"{__name__}.{module}"), defined or name)
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -139,10 +139,10 @@ DEADLY = """
 import os, signal
 from typing import Literal
 from scene_attack.attacks.attack import register
-from scene_attack.attacks.fgsm import Fgsm
+from scene_attack.attacks.fgsm import FGSM
 
 @register
-class Deadly(Fgsm):
+class Deadly(FGSM):
     method: Literal["deadly"] = "deadly"
 
     def step(self, problem, state, evaluation):
@@ -220,7 +220,7 @@ def test_what_they_add_is_known_everywhere(extended: Stack) -> None:
     assert {target["name"] for target in targets} >= {"efficientnet-lite0", "brightest-channel"}
     schemas = extended.client.get("/openapi.json").json()["components"]["schemas"]
     assert schemas["RandomSearch"]["properties"]["spread"]["description"]
-    assert "tint" in schemas["Fgsm"]["properties"]["renderer"]["enum"]
+    assert "tint" in schemas["FGSM"]["properties"]["renderer"]["enum"]
     job_id = extended.submit({"scene": scene()} | JOBS["the renderer"][0])
     assert extended.job(job_id)["spec"]["attack"]["learning_rate"] == {"tint": 0.01}
     extended.ended(job_id)

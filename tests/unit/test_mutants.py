@@ -78,13 +78,13 @@ MUTANTS = {
         test_adaptive.test_an_attack_of_many_steps_ends_at_the_limit,
     ),
     "prior of any length": Mutant(
-        "scene_attack.attacks.p_rgf:PRgf.step",
+        "scene_attack.attacks.p_rgf:PRGF.step",
         "(prior / prior.norm() * total**0.5)[None]",
         "prior[None]",
         test_p_rgf.test_the_priors_images_are_as_far_off_as_random_ones_and_along_the_gradient,
     ),
     "prior not in half-steps": Mutant(
-        "scene_attack.attacks.p_rgf:PRgf.step",
+        "scene_attack.attacks.p_rgf:PRGF.step",
         "at, step) * half_steps",
         "at, step)",
         test_p_rgf.test_the_priors_images_are_as_far_off_as_random_ones_and_along_the_gradient,

@@ -28,7 +28,7 @@ FIRST_PERIOD, SHORTER_BY, SHORTEST_PERIOD = 0.22, 0.03, 0.06
 
 
 @register
-class Apgd(Attack):
+class APGD(Attack):
     """Auto-PGD (Croce & Hein 2020): sign steps within ε with momentum; at checkpoints the step is halved and the best
     point taken up again if too few steps improved the objective. It has no step size to choose: steps are measured in
     ε, which each group therefore has, whatever else limits the perturbation.

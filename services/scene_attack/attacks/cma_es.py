@@ -24,7 +24,7 @@ SPREAD = 1 / 3
 
 
 @register
-class CmaEs(SearchWithinLimits):
+class CMAES(SearchWithinLimits):
     """Covariance matrix adaptation (Hansen 2016): each step draws a population around the mean, asks the network for
     each member, and moves mean and covariance towards the better half. It needs scores only.
     """

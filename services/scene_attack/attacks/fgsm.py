@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 @register
-class Fgsm(SuggestedRates):
+class FGSM(SuggestedRates):
     """Iterative FGSM: steps along the gradient's sign, with momentum and weight decay of the perturbation (paper,
     section 3.2).
     """

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 @register
-class MiFgsm(SuggestedRates):
+class MIFGSM(SuggestedRates):
     """Momentum iterative FGSM (Dong et al. 2018): gradients divided by their ℓ1 norm are accumulated, and each step is
     along the sign of the sum.
     """

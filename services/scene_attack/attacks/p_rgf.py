@@ -22,7 +22,7 @@ DEPENDENT = 1e-8
 
 
 @register
-class PRgf(DifferencesWithinLimits):
+class PRGF(DifferencesWithinLimits):
     """Prior-guided random gradient-free search (Cheng et al. 2019, in the form of Cheng, Wu and Zhu 2021): the
     gradient is projected onto the span of random directions and of a surrogate's gradient, and moved by Adam. It needs
     scores only; the gradient is that of another target.

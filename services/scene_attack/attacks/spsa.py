@@ -20,7 +20,7 @@ SMALLEST_DENOMINATOR = 1e-12
 
 
 @register
-class Spsa(DifferencesWithinLimits):
+class SPSA(DifferencesWithinLimits):
     """Simultaneous perturbation (Spall 1992): all parameters move at once along random directions and back, and the
     mean of the differences, moved by Adam, estimates the gradient (Uesato et al. 2018). It needs scores only.
     """

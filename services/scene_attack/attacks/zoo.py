@@ -39,7 +39,7 @@ Step = Annotated[float, Field(ge=1e-12, le=1, allow_inf_nan=False)]
 
 
 @register
-class Zoo(Attack):
+class ZOO(Attack):
     """Zeroth-order optimisation: Adam on central differences at random coordinates, of loss + weight·‖ΔY‖² (paper,
     section 3.2).
     """

@@ -10,11 +10,11 @@ import torch
 from torch import Tensor
 
 from scene_attack.attacks.differences import CANDIDATES, estimate, measure_noise
-from scene_attack.attacks.fgsm import Fgsm
+from scene_attack.attacks.fgsm import FGSM
 from scene_attack.attacks.limits import truncate
 from scene_attack.attacks.problem import evaluate
 from scene_attack.attacks.run import AttackRun, Verifier, run_attack
-from scene_attack.attacks.zoo import Zoo
+from scene_attack.attacks.zoo import ZOO
 from scene_attack.rendering.factory import build
 from scene_attack.rendering.protocol import Parameters, Renderer
 from scene_attack.scenes.mesh import Doubles
@@ -37,7 +37,7 @@ def _start() -> Doubles:
 def _pixel_fgsm(steps: int, rate: float, begin: Doubles | None = None, **settings: Any) -> AttackRun:
     """FGSM on the pixels for some steps, from the perturbation `begin` if there is one."""
     fields = {"renderer": "image", "learning_rate": {"image": rate}, "truncation": None, "steps": steps} | settings
-    attack = Fgsm.model_validate(fields)
+    attack = FGSM.model_validate(fields)
     limit = None if attack.truncation is None else attack.truncation / 255
     delta = None if begin is None else torch.from_numpy(begin).float().flatten()
     return attacked(linear_problem(pixels(), truncation=limit), attack, delta)
@@ -102,7 +102,7 @@ def _with_weight(at: float, delta: float, weight: float) -> Measured:
 def _chosen_step() -> Measured:
     """The measured difference step is one under which gradients are right to a thousandth."""
     problem = linear_problem(pixels(), lead=0.0, distance_weight=0.5)
-    attack = Zoo(method="zoo", renderer="image", delta="measured", learning_rate=0.01)
+    attack = ZOO(method="zoo", renderer="image", delta="measured", learning_rate=0.01)
     state = attack.init(problem)
     chosen = attack.measured(problem, state)["delta"]
     need(isinstance(chosen, dict) and chosen["image"] in CANDIDATES[1:-1], f"it chose {chosen}")
@@ -117,7 +117,7 @@ def _adam(steps: int, weight: float) -> Measured:
     """ZOO on all coordinates at once, against Adam (Kingma and Ba 2015, algorithm 1) on the gradient w + 2 λ Δ."""
     rate = 0.01
     problem = linear_problem(pixels(), lead=0.0, distance_weight=weight)
-    attack = Zoo(method="zoo", renderer="image", delta=1e-2, learning_rate=rate, weight=weight, coordinates=192)
+    attack = ZOO(method="zoo", renderer="image", delta=1e-2, learning_rate=rate, weight=weight, coordinates=192)
     state = attack.init(problem)
     w = linear_gradient().numpy().ravel()
     delta, first, second = (np.zeros_like(w) for _ in range(3))
@@ -157,7 +157,7 @@ def _rendered_fgsm(renderer: Renderer, group: str, steps: int, **settings: Any) 
     """The attack after all its steps, and its last perturbation, which need not be the one that it stored."""
     problem = linear_problem(renderer, (group,))
     fields = {"renderer": renderer.name, "groups": (group,), "truncation": None, "steps": steps}
-    attack = Fgsm.model_validate(fields | settings)
+    attack = FGSM.model_validate(fields | settings)
     run = attacked(problem, attack)
     need(all(np.isfinite(row.perceptibility) for row in run.trace), "a perceptibility is not finite")
     return run, problem.layout.unflatten(run.state["delta"])
@@ -212,7 +212,7 @@ def _giant_zoo() -> Measured:
     """η = 1e3 through pyrender: out of the image and beyond every light, within bounds and finite."""
     renderer = _small("pyrender")
     problem = linear_problem(renderer)
-    attack = Zoo(method="zoo", renderer="pyrender", delta=1e-2, learning_rate=1e3, steps=20)
+    attack = ZOO(method="zoo", renderer="pyrender", delta=1e-2, learning_rate=1e3, steps=20)
     run = attacked(problem, attack)
     outside, last = 0.0, problem.layout.unflatten(run.state["delta"])
     for group, change in last.items():
@@ -238,7 +238,7 @@ def _no_gradient() -> Measured:
     """A black object shows no light, material or normals: 120 steps with zero gradients, all reported flat."""
     renderer = build(placed(thing={"color": (0, 0, 0)}, size=(16, 16)), "torch")
     problem = linear_problem(renderer)
-    attack = Fgsm(groups=renderer.plan.groups, steps=120)
+    attack = FGSM(groups=renderer.plan.groups, steps=120)
     run = attacked(problem, attack)
     reported = [row.below_noise for row in run.trace]
     need(reported == [0] + [3] * 120, "not all three groups are reported flat at every step")
@@ -254,7 +254,7 @@ def _coasting() -> Measured:
     rate, momentum, decay = 3e-3, 0.9, 1e-2
     rates = {"illumination": rate}
     settings = {"groups": ("illumination",), "learning_rate": rates, "weight_decay": decay, "steps": 120}
-    run = AttackRun.begin_or_resume(problem, Fgsm.model_validate(settings), Verifier.of(problem))
+    run = AttackRun.begin_or_resume(problem, FGSM.model_validate(settings), Verifier.of(problem))
     run.state["velocity"] = torch.full_like(run.state["velocity"], -1.0)
     run_attack(run)
     # (Δ, v) → v' = momentum·v + decay·Δ, Δ' = Δ − rate·v'
@@ -309,7 +309,7 @@ def _too_small(name: str, group: str) -> Measured:
 def _zoo_flat() -> Measured:
     """An attack all of whose differences are flat goes nowhere, and every row of its trace says so."""
     problem = linear_problem(pixels())
-    run = attacked(problem, Zoo(method="zoo", renderer="image", delta=1e-12, coordinates=50, steps=3))
+    run = attacked(problem, ZOO(method="zoo", renderer="image", delta=1e-12, coordinates=50, steps=3))
     reported = [row.below_noise for row in run.trace]
     need(reported == [0, 50, 50, 50], f"reported below the noise: {reported}")
     need(not any(bool(run.state[name].any()) for name in ("first", "second", "moves")), "Adam moved")

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from scene_attack.attacks.fgsm import Fgsm
+from scene_attack.attacks.fgsm import FGSM
 from scene_attack.attacks.goal import ResolvedGoal
 from scene_attack.attacks.limits import Limits
 from scene_attack.attacks.problem import AttackProblem, evaluate
@@ -298,7 +298,7 @@ def _attacked(size: tuple[int, int], renderer: str) -> Measured:
         drawn, network, ResolvedGoal((label,), None), Limits.of(drawn, groups, truncation=18 / 255)
     )
     far = dict.fromkeys(groups, 1.0)
-    settings = Fgsm.model_validate({"renderer": renderer, "learning_rate": far, "steps": 5})
+    settings = FGSM.model_validate({"renderer": renderer, "learning_rate": far, "steps": 5})
     run = attacked(problem, settings)
     need(run.trace[-1].truncated > 0, "it never comes to U")
     assert run.best is not None

@@ -12,7 +12,7 @@ import torch
 from pydantic import TypeAdapter, ValidationError
 from torch import Tensor
 
-from scene_attack.attacks.fgsm import Fgsm
+from scene_attack.attacks.fgsm import FGSM
 from scene_attack.attacks.goal import ResolvedGoal
 from scene_attack.attacks.limits import Limits
 from scene_attack.attacks.problem import AttackProblem, generator
@@ -82,7 +82,7 @@ def _perturbed(network: Classifier) -> Tensor:
     renderer = ImageRenderer(image, "random numbers")
     label = int(network.logits(image[None]).argmax())
     problem = AttackProblem.of(renderer, network, ResolvedGoal((label,), None), Limits.of(renderer, ("image",)))
-    settings = Fgsm(renderer="image", learning_rate={"image": 1e-4}, truncation=None, steps=5)
+    settings = FGSM(renderer="image", learning_rate={"image": 1e-4}, truncation=None, steps=5)
     return attacked(problem, settings).stored["image"]
 
 

@@ -7,10 +7,10 @@ import torch
 from scene_attack.attacks import differences, goal, limits, problem, run, zoo
 from scene_attack.attacks import differences as attack_differences
 from scene_attack.attacks.differences import Estimate
-from scene_attack.attacks.fgsm import Fgsm
+from scene_attack.attacks.fgsm import FGSM
 from scene_attack.attacks.goal import ResolvedGoal
 from scene_attack.attacks.problem import AttackProblem
-from scene_attack.attacks.zoo import Zoo
+from scene_attack.attacks.zoo import ZOO
 from scene_attack.rendering import color
 from scene_attack.targets.classifier import Classifier
 from scene_attack_accuracy.stability import attacks, networks
@@ -61,14 +61,14 @@ def no_bounds(patch) -> None:
     patch.setattr(limits.Limits, "clamp", lambda _, deltas: deltas)
 
 
-@breaks("step", Fgsm)
+@breaks("step", FGSM)
 def drifting(true, self, *given):
     """Every step goes a little further than it should, and none is reported flat."""
     state = true(self, *given)
     return state | {"delta": state["delta"] * 1.01 + 1e-3, "below_noise": torch.tensor(0)}
 
 
-@breaks("step", Fgsm)
+@breaks("step", FGSM)
 def runaway(true, self, *given):
     """Steps that grow without end."""
     state = true(self, *given)
@@ -158,14 +158,14 @@ def twice_the_limit(patch) -> None:
 
 def settings(**changed):
     """Breaks FGSM by ignoring settings."""
-    return breaks("step", Fgsm)(lambda true, self, *given: true(self.model_copy(update=changed), *given))
+    return breaks("step", FGSM)(lambda true, self, *given: true(self.model_copy(update=changed), *given))
 
 
 no_momentum = settings(momentum=0.0)
 no_decay = settings(weight_decay=0.0)
 
 
-@breaks("step", Fgsm)
+@breaks("step", FGSM)
 def cut_velocity(true, self, problem, state, evaluation):
     """What bounds take from a step they take from the momentum too."""
     after = true(self, problem, state, evaluation)
@@ -190,7 +190,7 @@ def hinged_advantage(patch) -> None:
     patch.setattr(goal, "advantage", lambda logits, label: true(logits, label).clamp_min(0))
 
 
-@breaks("init", Zoo)
+@breaks("init", ZOO)
 def no_bias_correction(true, self, problem):
     """Adam's moments count as if there had been a million steps."""
     state = true(self, problem)

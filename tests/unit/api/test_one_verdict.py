@@ -10,7 +10,7 @@ import torch
 from httpx import Client
 from typer.testing import CliRunner
 
-from scene_attack import attack
+import scene_attack as sa
 from scene_attack.cli.app import app
 from scene_attack.errors import InvalidRequest
 
@@ -113,7 +113,8 @@ def test_the_same_fields_are_refused_at_every_door(name: str, door: Callable[[di
 @pytest.mark.parametrize("name", BAD)
 def test_attack_of_python_refuses_them_too(name: str) -> None:
     model = torch.nn.Sequential(torch.nn.Flatten(), torch.nn.Linear(192, 1000))
-    request = request_of(name)
+    target = sa.target(model, labels="imagenet", preprocessing={"input_size": [8, 8]})
+    request: dict[str, Any] = {"scene": None, "target": target} | request_of(name)
     with pytest.raises(InvalidRequest) as refused:
-        attack(request.pop("scene"), model, request, labels="imagenet", preprocessing={"input_size": [8, 8]})
+        sa.attack(**request)
     assert {error.field for error in refused.value.every} == BAD[name][0]

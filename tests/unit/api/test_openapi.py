@@ -30,7 +30,7 @@ def test_every_field_of_a_request_is_described() -> None:
     schemas = yaml.safe_load(COMMITTED.read_text())["components"]["schemas"]
     assert schemas["Camera"]["properties"]["distance"]["description"]
     assert schemas["Camera"]["properties"]["distance"]["maximum"] == 100
-    assert {"JobSpec", "JobView", "Result", "ProblemDetails", "Fgsm", "Zoo"} <= set(schemas)
+    assert {"JobSpec", "JobView", "Result", "ProblemDetails", "FGSM", "ZOO"} <= set(schemas)
 
 
 def test_errors_are_described_as_problems() -> None:

@@ -5,7 +5,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from scene_attack.attacks.apgd import Apgd
+from scene_attack.attacks.apgd import APGD
 from scene_attack.attacks.attack import State
 from scene_attack.attacks.problem import AttackProblem, evaluate
 from tests.unit.attacks.small import FreeRenderer, LinearTarget, Pixels, attack, problem
@@ -13,8 +13,8 @@ from tests.unit.attacks.small import FreeRenderer, LinearTarget, Pixels, attack,
 EPSILON = 3 / 255
 
 
-def settings(epsilon: dict[str, float], steps: int = 100) -> Apgd:
-    return Apgd.model_construct(epsilon=epsilon, steps=steps)
+def settings(epsilon: dict[str, float], steps: int = 100) -> APGD:
+    return APGD.model_construct(epsilon=epsilon, steps=steps)
 
 
 @pytest.mark.parametrize("loss", ["log-odds", "margin"])
@@ -36,7 +36,7 @@ def test_it_reaches_the_optimum_of_a_linear_network_exactly(loss: str) -> None:
 UNIT = {"a": 1.0, "b": 1.0}
 
 
-def handed(case: AttackProblem, attack: Apgd, state: State, step: int, objective: float, gradient: Tensor) -> State:
+def handed(case: AttackProblem, attack: APGD, state: State, step: int, objective: float, gradient: Tensor) -> State:
     """The state after a step whose evaluation has this objective and gradient, whatever the network would say."""
     look = evaluate(case, state["delta"], step)
     return attack.step(case, state, replace(look, objective=objective, gradient=gradient))

@@ -5,16 +5,16 @@ import torch
 from cmaes import CMA
 
 from scene_attack.attacks.attack import State
-from scene_attack.attacks.cma_es import CmaEs
+from scene_attack.attacks.cma_es import CMAES
 from scene_attack.attacks.problem import AttackProblem, at_random_start, evaluate
 from tests.unit.attacks.small import Bowl, FreeRenderer, LinearRenderer, Pixels, problem, stepped
 
 LIMITS = {"a": 0.3, "b": 0.1}
 
 
-def settings(epsilon: dict[str, float], **given: object) -> CmaEs:
+def settings(epsilon: dict[str, float], **given: object) -> CMAES:
     spread = {group: limit / 3 for group, limit in epsilon.items()}
-    return CmaEs.model_construct(**({"epsilon": epsilon, "spread": spread, "population": None} | given))  # type: ignore[arg-type]
+    return CMAES.model_construct(**({"epsilon": epsilon, "spread": spread, "population": None} | given))  # type: ignore[arg-type]
 
 
 def bowl(seed: int = 0, **given: object) -> tuple[AttackProblem, dict[str, torch.Tensor]]:
@@ -28,7 +28,7 @@ def bowl(seed: int = 0, **given: object) -> tuple[AttackProblem, dict[str, torch
     return problem(renderer, Bowl(image), epsilon=LIMITS, seed=seed, **given), bottom
 
 
-def generations(case: AttackProblem, attack: CmaEs, count: int) -> Iterator[State]:
+def generations(case: AttackProblem, attack: CMAES, count: int) -> Iterator[State]:
     """The state after each step, as the loop takes it."""
     state = attack.init(case)
     for step in range(count):

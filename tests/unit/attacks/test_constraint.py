@@ -7,11 +7,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from scene_attack.attacks.cma_es import CmaEs
+from scene_attack.attacks.cma_es import CMAES
 from scene_attack.attacks.differences import estimate, measure_half_steps
-from scene_attack.attacks.fgsm import Fgsm
+from scene_attack.attacks.fgsm import FGSM
 from scene_attack.attacks.goal import ResolvedGoal
-from scene_attack.attacks.zoo import Zoo
+from scene_attack.attacks.zoo import ZOO
 from scene_attack.rendering.protocol import Parameters
 from tests.unit.attacks.small import CurvedRenderer, FreeRenderer, LinearTarget, attack, problem
 
@@ -53,8 +53,8 @@ class Seen(FreeRenderer):
         return super().render(parameters)
 
 
-def zoo(**settings: object) -> Zoo:
-    made = Zoo.model_construct(
+def zoo(**settings: object) -> ZOO:
+    made = ZOO.model_construct(
         coordinates=9, delta=1e-3, learning_rate={"a": 0.05, "b": 0.01}, weight=0.0, steps=12, method="zoo"
     )
     return made.model_copy(update=settings)
@@ -75,7 +75,7 @@ def test_cma_es_asks_for_no_image_outside() -> None:
     renderer, constraint = Seen(), Ball()
     limits = {"a": 0.5, "b": 0.2}
     case = problem(renderer, LinearTarget(scale=0.1), constraint=constraint, epsilon=limits)
-    settings = CmaEs.model_construct(
+    settings = CMAES.model_construct(
         population=6, spread={g: v / 3 for g, v in limits.items()}, epsilon=limits, steps=5, method="cma-es"
     )
     attack(case, settings)
@@ -116,7 +116,7 @@ class OpaqueSeen(Seen):
 def test_differences_of_images_are_taken_within() -> None:
     renderer = OpaqueSeen()
     case = problem(renderer, LinearTarget(scale=0.1), constraint=Ball())
-    settings = Fgsm.model_construct(
+    settings = FGSM.model_construct(
         learning_rate={"a": 0.03, "b": 0.01}, momentum=0.9, weight_decay=0.0, steps=6, method="fgsm"
     )
     attack(case, settings)

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 import torch
 
-from scene_attack.attacks.fgsm import Fgsm
+from scene_attack.attacks.fgsm import FGSM
 from scene_attack.attacks.limits import BACKTRACK_MARGIN, P_MARGIN, SLACK, Limits, pulled_back
 from scene_attack.attacks.problem import random_start
 from scene_attack.errors import InvalidRequest
@@ -96,7 +96,7 @@ def test_what_backtracking_returns_is_within_however_the_reach_grows(reach: Any)
 def test_an_attack_that_backtracks_keeps_image_and_scene_one() -> None:
     """The stored scene itself is within U; by truncation only the loop's image is."""
     limit = 12 / 255
-    rates = Fgsm.model_construct(learning_rate={"a": 0.05, "b": 0.05}, momentum=0.9, weight_decay=0.0)
+    rates = FGSM.model_construct(learning_rate={"a": 0.05, "b": 0.05}, momentum=0.9, weight_decay=0.0)
     hard = Ahead(FreeRenderer())
     beyond = {}
     for name in ("truncation", "backtrack"):
@@ -113,7 +113,7 @@ def test_an_attack_that_backtracks_keeps_image_and_scene_one() -> None:
 def test_an_attack_that_backtracks_keeps_p_within_its_limit() -> None:
     """The stored scene's p, computed here on its own, comes close to the limit and stays within it."""
     limit = 0.03
-    rates = Fgsm.model_construct(learning_rate={"a": 0.05, "b": 0.05}, momentum=0.9, weight_decay=0.0)
+    rates = FGSM.model_construct(learning_rate={"a": 0.05, "b": 0.05}, momentum=0.9, weight_decay=0.0)
     hard = Ahead(FreeRenderer())
     case = problem(FreeRenderer(), hard, perceptibility=limit)
     found = attack(case, rates, steps=12)
@@ -140,7 +140,7 @@ def test_both_limits_of_backtracking_hold() -> None:
 
 def test_every_method_stays_within_epsilon() -> None:
     case = problem(LinearRenderer(), Ahead(LinearRenderer()), epsilon={"a": 0.015, "b": 0.01})
-    rates = Fgsm.model_construct(learning_rate={"a": 0.01, "b": 0.01}, momentum=0.0, weight_decay=0.0)
+    rates = FGSM.model_construct(learning_rate={"a": 0.01, "b": 0.01}, momentum=0.0, weight_decay=0.0)
     found = attack(case, rates, steps=4)
     assert float(found.stored["a"].abs().max()) == pytest.approx(0.015)
     assert float(found.stored["b"].abs().max()) <= 0.01

@@ -1,12 +1,12 @@
 import pytest
 import torch
 
-from scene_attack.attacks.fgsm import Fgsm
+from scene_attack.attacks.fgsm import FGSM
 from scene_attack.attacks.problem import evaluate
 from scene_attack.errors import JobFailure
 from tests.unit.attacks.small import FreeRenderer, LinearRenderer, LinearTarget, attack, guided, problem, stepped
 
-SETTINGS = Fgsm.model_construct(learning_rate={"a": 0.01, "b": 0.02}, momentum=0.9, weight_decay=0.1)
+SETTINGS = FGSM.model_construct(learning_rate={"a": 0.01, "b": 0.02}, momentum=0.9, weight_decay=0.1)
 
 
 def test_steps_match_torch_sgd_on_the_signed_gradient() -> None:

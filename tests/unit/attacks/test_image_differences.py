@@ -21,13 +21,13 @@ from scene_attack.attacks.differences import (
     measure_image_half_steps,
     projected,
 )
-from scene_attack.attacks.fgsm import Fgsm
+from scene_attack.attacks.fgsm import FGSM
 from scene_attack.attacks.problem import AttackProblem, Evaluation, differentiate, evaluate
 from scene_attack.errors import JobFailure
 from scene_attack.rendering.protocol import InactiveCoordinate, Parameters
 from tests.unit.attacks.small import CurvedRenderer, LinearTarget, OpaqueCurvedRenderer, attack, problem, resumed
 
-FGSM = Fgsm.model_construct(learning_rate={"a": 0.01, "b": 0.01}, momentum=0.9, weight_decay=1e-4)
+BY_SIGN = FGSM.model_construct(learning_rate={"a": 0.01, "b": 0.01}, momentum=0.9, weight_decay=1e-4)
 
 
 @dataclass
@@ -143,7 +143,7 @@ def test_a_step_takes_one_query_and_two_images_per_coordinate() -> None:
     target = CountingTarget(scale=1e-3)
     case = problem(OpaqueCurvedRenderer(), target)
     before = target.images
-    state = attack(case, FGSM, steps=5)
+    state = attack(case, BY_SIGN, steps=5)
     assert state.stopped == "steps"
     assert target.images - before == state.trace[-1].queries == case.counts.queries
     first, second = state.trace[0], state.trace[1]
@@ -159,7 +159,7 @@ def test_it_fools_as_autograd_does() -> None:
     states = []
     for renderer in (CurvedRenderer(), OpaqueCurvedRenderer()):
         case = problem(renderer)
-        states.append(attack(case, FGSM, steps=60))
+        states.append(attack(case, BY_SIGN, steps=60))
     assert [state.stopped for state in states] == ["verified", "verified"]
     assert states[0].step == states[1].step
     for group, value in states[0].stored.items():
@@ -186,7 +186,7 @@ def test_half_steps_are_measured_and_recorded() -> None:
     assert case.counts.queries == 1
     ours = found(differenced(case, chosen), {g: v.float() for g, v in place(0).items()})
     assert_same({g: v.double() for g, v in ours.items()}, autograd(0, place(0)), 5e-3)
-    state = attack(case, FGSM, steps=1)
+    state = attack(case, BY_SIGN, steps=1)
     assert state.settings == {"image_differences": {"delta": chosen, "skipped": []}}
 
 
@@ -215,7 +215,9 @@ def test_a_coordinate_that_was_inactive_at_the_start_counts_where_it_is_active()
 def test_a_resumed_attack_ends_in_the_same_result(tmp_path: Path) -> None:
     """It is cancelled at a rendering of the differences, inside the backward pass."""
     hard = LinearTarget(scale=1e-3)
-    resumed(lambda: problem(OpaqueCurvedRenderer(), hard, truncation=0.01), FGSM, tmp_path / "checkpoint", 14, steps=6)
+    resumed(
+        lambda: problem(OpaqueCurvedRenderer(), hard, truncation=0.01), BY_SIGN, tmp_path / "checkpoint", 14, steps=6
+    )
 
 
 def test_an_image_that_is_not_finite_ends_the_job_from_inside_the_backward_pass() -> None:
@@ -233,4 +235,4 @@ def test_a_network_without_gradients_is_named() -> None:
 
     case = problem(OpaqueCurvedRenderer(), Detached())
     with pytest.raises(JobFailure, match="target 'linear' returned scores without a graph"):
-        attack(case, FGSM, steps=1)
+        attack(case, BY_SIGN, steps=1)

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from scene_attack.attacks.leave_out import SHARE, leave_out
-from scene_attack.attacks.zoo import Zoo
+from scene_attack.attacks.zoo import ZOO
 from tests.unit.attacks.small import FreeRenderer, LinearTarget, attack, problem
 from tests.unit.attacks.test_constraint import Ball
 
@@ -54,7 +54,7 @@ def test_an_attack_never_moves_what_is_left_out() -> None:
     whole = problem(renderer, LinearTarget(scale=0.1), constraint=Ball(0.5))
     found = leave_out(whole, CHANGE)
     case = found.without
-    settings = Zoo.model_construct(
+    settings = ZOO.model_construct(
         coordinates=9, delta=1e-3, learning_rate={"a": 0.05, "b": 0.01}, weight=0.0, steps=4, method="zoo"
     )
     moved = case.layout.flatten(attack(case, settings).stored) != 0

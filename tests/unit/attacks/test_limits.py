@@ -3,11 +3,11 @@
 import pytest
 from pydantic import ValidationError
 
-from scene_attack.attacks.apgd import Apgd
-from scene_attack.attacks.fgsm import Fgsm
-from scene_attack.attacks.mi_fgsm import MiFgsm
+from scene_attack.attacks.apgd import APGD
+from scene_attack.attacks.fgsm import FGSM
+from scene_attack.attacks.mi_fgsm import MIFGSM
 from scene_attack.attacks.square import Square
-from scene_attack.attacks.zoo import Zoo
+from scene_attack.attacks.zoo import ZOO
 from scene_attack.rendering.pyrender.declaration import PYRENDER
 from scene_attack.rendering.torch.declaration import TORCH
 from scene_attack.runs.extensions import ATTACKS
@@ -16,22 +16,22 @@ from scene_attack.runs.extensions import ATTACKS
 @pytest.mark.parametrize(
     ("settings", "given", "message"),
     [
-        (Zoo, {"constraint": "backtrack"}, "truncation: `backtrack` keeps"),
-        (Zoo, {"perceptibility": 0.02}, 'perceptibility: only `"constraint": "backtrack"`'),
-        (Zoo, {"constraint": "backtrack", "perceptibility": 2}, "less than or equal to 1.73"),
-        (Fgsm, {"constraint": "epsilon"}, "epsilon: group 'normals' has no value"),
-        (Fgsm, {"constraint": "epsilon", "truncation": 18}, "truncation: with the constraint `epsilon` there is no U"),
-        (Fgsm, {"restarts": 1}, "epsilon: group 'normals' has no value"),
-        (Fgsm, {"epsilon": {"image": 0.1}}, "epsilon: 'image' is not an attacked group"),
-        (Fgsm, {"bounds": {"image": [0, 1]}}, "bounds: 'image' is not an attacked group"),
-        (Fgsm, {"bounds": {"normals": [1, 1]}}, "bounds: those of group 'normals' are 1 and 1"),
-        (Fgsm, {"epsilon": {"normals": 0}}, "greater than 0"),
+        (ZOO, {"constraint": "backtrack"}, "truncation: `backtrack` keeps"),
+        (ZOO, {"perceptibility": 0.02}, 'perceptibility: only `"constraint": "backtrack"`'),
+        (ZOO, {"constraint": "backtrack", "perceptibility": 2}, "less than or equal to 1.73"),
+        (FGSM, {"constraint": "epsilon"}, "epsilon: group 'normals' has no value"),
+        (FGSM, {"constraint": "epsilon", "truncation": 18}, "truncation: with the constraint `epsilon` there is no U"),
+        (FGSM, {"restarts": 1}, "epsilon: group 'normals' has no value"),
+        (FGSM, {"epsilon": {"image": 0.1}}, "epsilon: 'image' is not an attacked group"),
+        (FGSM, {"bounds": {"image": [0, 1]}}, "bounds: 'image' is not an attacked group"),
+        (FGSM, {"bounds": {"normals": [1, 1]}}, "bounds: those of group 'normals' are 1 and 1"),
+        (FGSM, {"epsilon": {"normals": 0}}, "greater than 0"),
         (Square, {"renderer": "torch", "groups": ["material"]}, "groups: 'material' is no image"),
-        (Apgd, {"masking_queries": 10}, "masking_queries: 'illumination' is no image"),
-        (Apgd, {"loss": "hinge"}, "'log-odds', 'margin' or 'dlr'"),
+        (APGD, {"masking_queries": 10}, "masking_queries: 'illumination' is no image"),
+        (APGD, {"loss": "hinge"}, "'log-odds', 'margin' or 'dlr'"),
     ],
 )
-def test_limits_that_do_not_agree_are_refused(settings: type[Fgsm], given: dict[str, object], message: str) -> None:
+def test_limits_that_do_not_agree_are_refused(settings: type[FGSM], given: dict[str, object], message: str) -> None:
     with pytest.raises(ValidationError) as error:
         settings.model_validate(given)
     assert message in str(error.value)
@@ -39,21 +39,21 @@ def test_limits_that_do_not_agree_are_refused(settings: type[Fgsm], given: dict[
 
 def test_only_the_limit_that_the_constraint_has_is_in_force() -> None:
     limits = {"normals": 0.1, "illumination": 1.0, "material": 2.0}
-    settings = MiFgsm.model_validate({"constraint": "epsilon", "epsilon": limits})
+    settings = MIFGSM.model_validate({"constraint": "epsilon", "epsilon": limits})
     assert (settings.truncation, settings.epsilon) == (None, limits)
-    assert MiFgsm.model_validate({"constraint": "backtrack"}).truncation == 18
-    assert MiFgsm().constraint == "truncate"
+    assert MIFGSM.model_validate({"constraint": "backtrack"}).truncation == 18
+    assert MIFGSM().constraint == "truncate"
     with_p = {"renderer": "pyrender", "constraint": "backtrack", "perceptibility": 0.02}
-    assert MiFgsm.model_validate(with_p).truncation is None
-    assert MiFgsm.model_validate(with_p | {"truncation": 18}).truncation == 18
-    assert MiFgsm.model_validate(with_p | {"perceptibility": None}).truncation == 18
-    assert MiFgsm().epsilon == {}
+    assert MIFGSM.model_validate(with_p).truncation is None
+    assert MIFGSM.model_validate(with_p | {"truncation": 18}).truncation == 18
+    assert MIFGSM.model_validate(with_p | {"perceptibility": None}).truncation == 18
+    assert MIFGSM().epsilon == {}
 
 
 def test_methods_that_need_a_limit_take_the_one_that_the_renderer_suggests() -> None:
-    suggested = Apgd()
+    suggested = APGD()
     assert set(suggested.epsilon) == {"normals", "illumination", "material"}
-    chosen = Apgd.model_validate({"epsilon": {"normals": 0.01}}).epsilon
+    chosen = APGD.model_validate({"epsilon": {"normals": 0.01}}).epsilon
     assert chosen == suggested.epsilon | {"normals": 0.01}
     assert Square().renderer == "image"
     assert Square().base_renderer == "torch"
@@ -93,5 +93,5 @@ def test_a_search_without_another_limit_takes_the_suggested_epsilon(name: str) -
 
 
 def test_apgd_measures_its_step_in_an_epsilon_whatever_else_limits_it() -> None:
-    settings = Apgd.model_validate({"renderer": "pyrender", "constraint": "backtrack", "perceptibility": 0.05})
+    settings = APGD.model_validate({"renderer": "pyrender", "constraint": "backtrack", "perceptibility": 0.05})
     assert settings.epsilon["illumination"] == 0.1

@@ -7,27 +7,27 @@ import pytest
 import torch
 
 from scene_attack.attacks.attack import Attack, State
-from scene_attack.attacks.fgsm import Fgsm
+from scene_attack.attacks.fgsm import FGSM
 from scene_attack.attacks.goal import ResolvedGoal
 from scene_attack.attacks.problem import AttackProblem, Evaluation, evaluate, quantize
 from scene_attack.attacks.run import AttackRun, Verifier, run_attack
-from scene_attack.attacks.zoo import Zoo
+from scene_attack.attacks.zoo import ZOO
 from scene_attack.errors import JobFailure
 from scene_attack.process import finite
 from scene_attack.rendering.color import as_saved
 from scene_attack.rendering.plan import ImageError
 from tests.unit.attacks.small import Ahead, LinearRenderer, LinearTarget, attack, problem, resumed
 
-FGSM = Fgsm.model_construct(learning_rate={"a": 0.01, "b": 0.01}, momentum=0.9, weight_decay=1e-4)
-ZOO = Zoo.model_construct(coordinates=4, delta=1e-4, learning_rate=2e-3)
+BY_SIGN = FGSM.model_construct(learning_rate={"a": 0.01, "b": 0.01}, momentum=0.9, weight_decay=1e-4)
+BY_PAIRS = ZOO.model_construct(coordinates=4, delta=1e-4, learning_rate=2e-3)
 
 
-METHODS = pytest.mark.parametrize("settings", [FGSM, ZOO], ids=["fgsm", "zoo"])
+METHODS = pytest.mark.parametrize("settings", [BY_SIGN, BY_PAIRS], ids=["fgsm", "zoo"])
 
 
 def test_it_stops_when_verified_and_stores_that_step() -> None:
     case = problem()
-    found = attack(case, FGSM)
+    found = attack(case, BY_SIGN)
     assert found.stopped == "verified"
     assert found.fooled
     assert found.verified
@@ -40,7 +40,7 @@ def test_it_stops_when_verified_and_stores_that_step() -> None:
 
 def test_the_trace_counts_every_query_and_rendering() -> None:
     case = problem()
-    found = attack(case, FGSM)
+    found = attack(case, BY_SIGN)
     # a look is 1 query and 1 rendering, the original 1 rendering, the verdict 1 of each; the gradient asks nothing more
     assert found.trace[-1].queries == found.step + 1
     assert found.trace[-1].renders == found.step + 2
@@ -52,7 +52,7 @@ def test_the_trace_has_what_the_method_minimises(settings: Attack) -> None:
     case = problem(target=LinearTarget(scale=1e-3), distance_weight=0.3)
     for row in attack(case, settings, steps=3).trace:
         # the advantage, or the log-odds log p / (1 − p), by definition from the trace's own numbers
-        gained = row.advantage if settings is ZOO else math.log(row.loss / (1 - row.loss))
+        gained = row.advantage if settings is BY_PAIRS else math.log(row.loss / (1 - row.loss))
         assert row.objective == pytest.approx(gained + 0.3 * row.distance**2, abs=1e-6)
 
 
@@ -62,11 +62,11 @@ def test_a_pixel_counts_as_truncated_if_it_ever_was() -> None:
 
     there = torch.tensor([0.05] * 6 + [0.0] * 3, dtype=torch.float64)
 
-    class ThereAndBack(Fgsm):
+    class ThereAndBack(FGSM):
         def step(self, problem: AttackProblem, state: State, evaluation: Evaluation) -> State:
             return state | {"delta": problem.nothing if evaluation.step else there}
 
-    found = attack(case, ThereAndBack.model_construct(**dict(FGSM)), steps=2)
+    found = attack(case, ThereAndBack.model_construct(**dict(BY_SIGN)), steps=2)
     image = case.renderer.render(case.layout.unflatten((case.initial + there)[None]))
     beyond = ((image - case.original).abs() > 0.01).any(dim=-1)[0]
     assert [row.truncated for row in found.trace] == [0, int(beyond.sum()), 0]
@@ -78,7 +78,7 @@ def test_what_fools_in_the_loop_is_verified_itself_not_what_fooled_more_before()
     """The first is refused by the verifier. The second fools the loop by less; it is what is verified and stored."""
     case = problem()
     asked: list[Mapping[str, torch.Tensor]] = []
-    best = attack(problem(), FGSM).best
+    best = attack(problem(), BY_SIGN).best
     assert best is not None
     towards = best.delta
 
@@ -87,11 +87,11 @@ def test_what_fools_in_the_loop_is_verified_itself_not_what_fooled_more_before()
             asked.append(perturbation)
             return len(asked) == 2
 
-    class Less(Fgsm):
+    class Less(FGSM):
         def step(self, problem: AttackProblem, state: State, evaluation: Evaluation) -> State:
             return state | {"delta": problem.limits.clamp((1.0 if evaluation.step else 1.5) * towards)}
 
-    settings = Less.model_construct(**dict(FGSM))
+    settings = Less.model_construct(**dict(BY_SIGN))
     found = run_attack(AttackRun.begin_or_resume(case, settings, SecondOnly.of(case)))
     assert found.trace[1].advantage < found.trace[2].advantage < 0
     assert found.best is not None
@@ -114,10 +114,10 @@ def test_success_is_judged_on_the_image_as_saved() -> None:
     renderer = LinearRenderer()
     renderer.base = (renderer.base * 255).round() / 255
     case = problem(renderer, Edge(classes=2))
-    ends = [attack(case, FGSM, steps=n).best for n in range(1, 10)]
+    ends = [attack(case, BY_SIGN, steps=n).best for n in range(1, 10)]
     images = [evaluate(case, end.delta, 0).image for end in ends if end is not None]
     assert any(bool(case.goal.fooled(case.scores(image))) for image in images)  # float images do, on the way
-    found = attack(case, FGSM, steps=10)
+    found = attack(case, BY_SIGN, steps=10)
     assert not found.fooled
     assert found.stopped == "steps"
 
@@ -137,7 +137,7 @@ def test_a_image_fooled_by_truncation_alone_does_not_end_the_loop() -> None:
     renderer = LinearRenderer()
     original = ((renderer.base * 255).round() / 255)[None]
     renderer.base = original[0]
-    quick = Fgsm.model_construct(learning_rate={"a": 0.5, "b": 0.5}, momentum=0.0, weight_decay=0.0)
+    quick = BY_SIGN.model_construct(learning_rate={"a": 0.5, "b": 0.5}, momentum=0.0, weight_decay=0.0)
     case = problem(renderer, Shy(classes=2), truncation=0.01)
     found = attack(case, quick, steps=3)
     assert found.fooled
@@ -159,7 +159,9 @@ def test_budgets_end_it(settings: Attack) -> None:
 
 @METHODS
 def test_a_resumed_attack_ends_in_the_same_result(settings: Attack, tmp_path: Path) -> None:
-    resumed(lambda: problem(truncation=0.002), settings, tmp_path / "checkpoint", 7 if settings is ZOO else 6, steps=12)
+    resumed(
+        lambda: problem(truncation=0.002), settings, tmp_path / "checkpoint", 7 if settings is BY_PAIRS else 6, steps=12
+    )
 
 
 class Measured(LinearRenderer):
@@ -176,19 +178,19 @@ class Measured(LinearRenderer):
 
 
 def test_a_resumed_attack_knows_the_errors_of_images_rendered_before(tmp_path: Path) -> None:
-    found = resumed(lambda: problem(Measured(), truncation=0.002), FGSM, tmp_path / "checkpoint", 8, steps=12)
+    found = resumed(lambda: problem(Measured(), truncation=0.002), BY_SIGN, tmp_path / "checkpoint", 8, steps=12)
     assert found.sampled_error != found.problem.renderer.sampled_error  # the worst image was rendered before
 
 
 def test_a_damaged_checkpoint_is_as_good_as_none(tmp_path: Path) -> None:
     (tmp_path / "checkpoint").write_bytes(b"not safetensors at all")
-    assert attack(problem(), FGSM, tmp_path / "checkpoint").step == attack(problem(), FGSM).step
+    assert attack(problem(), BY_SIGN, tmp_path / "checkpoint").step == attack(problem(), BY_SIGN).step
 
 
 def test_the_verifier_counts_with_the_problem() -> None:
     case = problem()
     with pytest.raises(ValueError, match="share `counts`"):
-        AttackRun.begin_or_resume(case, FGSM, Verifier(case.renderer, case.target))
+        AttackRun.begin_or_resume(case, BY_SIGN, Verifier(case.renderer, case.target))
 
 
 def test_a_image_of_nan_ends_the_job() -> None:

@@ -2,14 +2,14 @@ from dataclasses import replace
 
 import torch
 
-from scene_attack.attacks.mi_fgsm import MiFgsm
+from scene_attack.attacks.mi_fgsm import MIFGSM
 from tests.unit.attacks.small import FreeRenderer, LinearTarget, guided, problem, stepped
 
 RATES = {"a": 0.01, "b": 0.02}
 
 
-def settings(**given: object) -> MiFgsm:
-    return MiFgsm.model_construct(**({"learning_rate": RATES, "decay": 0.7} | given))  # type: ignore[arg-type]
+def settings(**given: object) -> MIFGSM:
+    return MIFGSM.model_construct(**({"learning_rate": RATES, "decay": 0.7} | given))  # type: ignore[arg-type]
 
 
 def test_steps_match_the_formula_on_gradients_of_an_independent_graph() -> None:

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from scene_attack.attacks.differences import ImageDifferences
-from scene_attack.attacks.fgsm import Fgsm
+from scene_attack.attacks.fgsm import FGSM
 from scene_attack.attacks.natural_gradient import NaturalGradient, steepest
 from scene_attack.attacks.problem import AttackProblem
 from scene_attack.runs.spec import parse
@@ -127,7 +127,7 @@ def test_it_lowers_the_objective_more_than_signs_do_at_the_same_p() -> None:
     hard = LinearTarget(scale=0.3)
     for name in ("natural", "signs"):
         case = problem(OpaqueCurvedRenderer(), hard, perceptibility=0.02)
-        signs = Fgsm.model_construct(learning_rate={"a": 0.005, "b": 0.005}, momentum=0.9, weight_decay=0.0)
+        signs = FGSM.model_construct(learning_rate={"a": 0.005, "b": 0.005}, momentum=0.9, weight_decay=0.0)
         found = attack(case, SETTINGS if name == "natural" else signs, steps=12)
         assert found.best is not None
         assert found.trace[found.best.step].perceptibility <= 0.02

@@ -7,7 +7,7 @@ import torch
 
 from scene_attack.attacks.differences import ImageDifferences
 from scene_attack.attacks.goal import ResolvedGoal
-from scene_attack.attacks.p_rgf import PRgf, projected_gradient, surrogate_gradient
+from scene_attack.attacks.p_rgf import PRGF, projected_gradient, surrogate_gradient
 from scene_attack.attacks.problem import AttackProblem, Surrogate
 from scene_attack.attacks.request import Expectation
 from scene_attack.attacks.spsa import draw_directions
@@ -80,8 +80,8 @@ def with_surrogate(target: LinearTarget, surrogate: LinearTarget, **settings: ob
     return replace(case, surrogate=Surrogate(surrogate, ResolvedGoal(case.goal.leave, None)))
 
 
-def settings(**given: object) -> PRgf:
-    return PRgf.model_validate({"renderer": "image", "epsilon": {"image": 0.05}} | given)
+def settings(**given: object) -> PRGF:
+    return PRGF.model_validate({"renderer": "image", "epsilon": {"image": 0.05}} | given)
 
 
 def test_the_surrogates_queries_are_counted_apart() -> None:
@@ -115,7 +115,7 @@ def test_the_priors_images_are_as_far_off_as_random_ones_and_along_the_gradient(
     case = problem(FreeRenderer(), epsilon={"a": 0.1, "b": 0.1})
     case = replace(case, surrogate=Surrogate(case.target, case.goal))
     half_steps = {"a": 1e-3, "b": 4e-3}
-    given = PRgf.model_construct(pairs=0, surrogate="other", delta=half_steps, learning_rate={"a": 0.01, "b": 0.01})
+    given = PRGF.model_construct(pairs=0, surrogate="other", delta=half_steps, learning_rate={"a": 0.01, "b": 0.01})
     rendered, render = [], case.renderer.render
 
     def recording(parameters: Any) -> torch.Tensor:
@@ -191,7 +191,7 @@ def test_resumed_it_ends_in_the_same_bits(kind: type[LinearRenderer], tmp_path: 
     """Also where the half-steps of the surrogate's gradient are measured."""
     renderer = kind(dtype=torch.float32)
     limits = dict.fromkeys(renderer.groups, 0.05)
-    given = PRgf.model_construct(pairs=2, surrogate="other", delta=limits, learning_rate=limits)
+    given = PRGF.model_construct(pairs=2, surrogate="other", delta=limits, learning_rate=limits)
 
     def build() -> AttackProblem:
         case = problem(renderer, Ahead(renderer), epsilon=limits)

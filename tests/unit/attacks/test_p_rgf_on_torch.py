@@ -8,7 +8,7 @@ from torch.nn.functional import cosine_similarity
 
 from scene_attack.attacks.goal import ResolvedGoal
 from scene_attack.attacks.limits import Limits
-from scene_attack.attacks.p_rgf import PRgf, projected_gradient, surrogate_gradient
+from scene_attack.attacks.p_rgf import PRGF, projected_gradient, surrogate_gradient
 from scene_attack.attacks.problem import AttackProblem, Counts, Surrogate
 from scene_attack.attacks.spsa import draw_directions
 from scene_attack.rendering.protocol import Renderer
@@ -85,7 +85,7 @@ def test_with_the_networks_own_gradient_one_difference_finds_the_slope(case: Att
         "pairs": 0,
         "surrogate": "other",
     }
-    attack = PRgf.model_validate(given)
+    attack = PRGF.model_validate(given)
     moved = stepped(one, attack, attack.init(one), 0)["delta"]
     assert one.counts.queries == 2 + 1  # the loop's own look
     slope = autograd(one, torch.zeros(one.layout.total))

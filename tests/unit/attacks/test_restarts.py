@@ -5,14 +5,14 @@ from pathlib import Path
 import pytest
 
 from scene_attack.attacks.attack import State
-from scene_attack.attacks.fgsm import Fgsm
+from scene_attack.attacks.fgsm import FGSM
 from scene_attack.attacks.problem import AttackProblem, Evaluation
 from scene_attack.attacks.run import AttackRun
 from tests.unit.attacks.small import Ahead, FreeRenderer, LinearTarget, attack, problem, resumed
 
 STEPS = 3
 EPSILON = {"a": 0.05, "b": 0.05}
-RATES = Fgsm.model_construct(learning_rate={"a": 1e-4, "b": 1e-4}, momentum=0.0, weight_decay=0.0)
+RATES = FGSM.model_construct(learning_rate={"a": 1e-4, "b": 1e-4}, momentum=0.0, weight_decay=0.0)
 
 
 def case_of(target: LinearTarget | None = None) -> AttackProblem:
@@ -44,7 +44,7 @@ def test_a_method_sees_the_steps_of_its_own_start_and_another_seed() -> None:
     """Its schedule is over `steps`, and equal random numbers would waste the start."""
     case, seen = case_of(), []
 
-    class Recording(Fgsm):
+    class Recording(FGSM):
         def step(self, problem: AttackProblem, state: State, evaluation: Evaluation) -> State:
             seen.append((evaluation.step, problem.seed))
             return super().step(problem, state, evaluation)

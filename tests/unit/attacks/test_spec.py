@@ -7,48 +7,48 @@ import pytest
 from pydantic import BaseModel
 
 from scene_attack.attacks.attack import ATTACKS, Attack, State, register
-from scene_attack.attacks.fgsm import Fgsm
-from scene_attack.attacks.zoo import Zoo
+from scene_attack.attacks.fgsm import FGSM
+from scene_attack.attacks.zoo import ZOO
 
 
 def test_the_built_in_attacks_are_found() -> None:
     found = {name: (one, one.needs_gradient) for name, one in ATTACKS.items()}
-    assert (found["fgsm"], found["zoo"]) == ((Fgsm, True), (Zoo, False))
+    assert (found["fgsm"], found["zoo"]) == ((FGSM, True), (ZOO, False))
 
 
 def test_learning_rates_are_those_that_the_groups_suggest() -> None:
     rates = {"normals": 0.004, "illumination": 0.003, "material": 0.003}  # paper, section 4.1
-    assert Fgsm().learning_rate == rates
-    assert Fgsm.model_validate({"groups": ["material"]}).learning_rate == {"material": 0.003}
-    assert Fgsm.model_validate({"learning_rate": {"normals": 0.1}}).learning_rate == rates | {"normals": 0.1}
-    assert Fgsm.model_validate({"renderer": "image"}).learning_rate == {"image": 0.002}
+    assert FGSM().learning_rate == rates
+    assert FGSM.model_validate({"groups": ["material"]}).learning_rate == {"material": 0.003}
+    assert FGSM.model_validate({"learning_rate": {"normals": 0.1}}).learning_rate == rates | {"normals": 0.1}
+    assert FGSM.model_validate({"renderer": "image"}).learning_rate == {"image": 0.002}
 
 
 def test_through_a_renderer_without_gradients_defaults_are_those_that_succeed_there() -> None:
     """What moves silhouettes exceeds any U at once, and the paper's λ outweighs what ZOO may gain."""
-    fgsm = Fgsm.model_validate({"renderer": "pyrender"})
+    fgsm = FGSM.model_validate({"renderer": "pyrender"})
     steps = {"illumination": 0.005, "color": 0.005, "translation": 0.0005, "rotation": 0.001}
     assert (fgsm.learning_rate, fgsm.truncation) == (steps, None)
-    assert Fgsm.model_validate({"renderer": "pyrender", "truncation": 9}).truncation == 9
-    assert Fgsm().truncation == 18
-    zoo = Zoo.model_validate({"renderer": "pyrender"})
+    assert FGSM.model_validate({"renderer": "pyrender", "truncation": 9}).truncation == 9
+    assert FGSM().truncation == 18
+    zoo = ZOO.model_validate({"renderer": "pyrender"})
     assert (zoo.learning_rate, zoo.weight) == ({group: 10 * step for group, step in steps.items()}, 1e-3)
-    assert Zoo.model_validate({"renderer": "pyrender", "learning_rate": 0.1, "weight": 0.5}).learning_rate == 0.1
+    assert ZOO.model_validate({"renderer": "pyrender", "learning_rate": 0.1, "weight": 0.5}).learning_rate == 0.1
     for renderer, preset in (("pyrender", "paper-classification"), ("torch", "measured"), ("image", "measured")):
-        papers = Zoo.model_validate({"renderer": renderer, "preset": preset})
+        papers = ZOO.model_validate({"renderer": renderer, "preset": preset})
         assert (papers.learning_rate, papers.weight) == (2e-3, 0.1)
 
 
 def test_groups_on_request_have_a_rate_when_they_are_named() -> None:
     asked = {"renderer": "pyrender", "groups": ["camera", "color"]}
-    assert Fgsm.model_validate(asked).learning_rate == {"color": 0.005, "camera": 0.001}
-    assert Zoo.model_validate(asked).groups == ("color", "camera")
-    assert "camera" not in Zoo.model_validate({"renderer": "pyrender"}).groups
+    assert FGSM.model_validate(asked).learning_rate == {"color": 0.005, "camera": 0.001}
+    assert ZOO.model_validate(asked).groups == ("color", "camera")
+    assert "camera" not in ZOO.model_validate({"renderer": "pyrender"}).groups
 
 
 def test_the_weight_of_the_distance_is_the_methods_own() -> None:
-    assert Fgsm().distance_weight == 0
-    assert Zoo.model_validate({"weight": 0.25}).distance_weight == 0.25
+    assert FGSM().distance_weight == 0
+    assert ZOO.model_validate({"weight": 0.25}).distance_weight == 0.25
 
 
 class Complete(Attack):
@@ -86,8 +86,8 @@ class Vague(Complete):
     needs_gradient: ClassVar[str] = "perhaps"  # type: ignore[assignment]
 
 
-Fgsm2 = type("Fgsm", (Complete,), {"__annotations__": {"method": Literal["other"]}, "method": "other"})
-"""The component Fgsm of the OpenAPI document got the name of its module, which clients do not know."""
+Fgsm2 = type("FGSM", (Complete,), {"__annotations__": {"method": Literal["other"]}, "method": "other"})
+"""The component FGSM of the OpenAPI document got the name of its module, which clients do not know."""
 
 
 @pytest.mark.parametrize(
@@ -98,7 +98,7 @@ Fgsm2 = type("Fgsm", (Complete,), {"__annotations__": {"method": Literal["other"
         (Plain, "Plain does not derive from Attack"),
         (Odd, "the default of spread is nan"),
         (Vague, "Vague.needs_gradient is no bool"),
-        (Fgsm2, "there is an attack Fgsm already"),
+        (Fgsm2, "there is an attack FGSM already"),
     ],
 )
 def test_what_requests_could_not_use_is_refused(attack: type[Attack], words: str) -> None:

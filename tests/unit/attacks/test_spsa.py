@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from scene_attack.attacks.spsa import Spsa, draw_directions, estimate
+from scene_attack.attacks.spsa import SPSA, draw_directions, estimate
 from tests.unit.attacks.small import LinearRenderer, autograd, problem, smooth, stepped
 
 pytestmark = pytest.mark.slow
@@ -60,9 +60,9 @@ def test_directions_are_signs_or_normal_and_the_seeds() -> None:
     assert not torch.equal(signs, draw_directions("signs", 2000, 9, 5, 3))
 
 
-def settings(**given: object) -> Spsa:
+def settings(**given: object) -> SPSA:
     same = {"a": 0.01, "b": 0.01}
-    return Spsa.model_construct(**({"pairs": 5, "directions": "signs", "delta": same, "learning_rate": same} | given))  # type: ignore[arg-type]
+    return SPSA.model_construct(**({"pairs": 5, "directions": "signs", "delta": same, "learning_rate": same} | given))  # type: ignore[arg-type]
 
 
 def test_a_step_asks_for_two_images_a_direction_and_the_objective_falls() -> None:

@@ -3,7 +3,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from scene_attack.attacks.apgd import Apgd
+from scene_attack.attacks.apgd import APGD
 from scene_attack.attacks.attack import State
 from scene_attack.attacks.problem import AttackProblem, evaluate
 from scene_attack.attacks.run import AttackRun, Verifier, check_masking
@@ -123,7 +123,7 @@ def test_it_fools_a_network_whose_gradient_is_zero() -> None:
 
     renderer, target, limits = Pixels(), Stairs(scale=3.0), {"image": EPSILON}
     found = {}
-    for kind in (Apgd, Square):
+    for kind in (APGD, Square):
         case = problem(renderer, target, loss="margin", epsilon=limits)
         found[kind.__name__.lower()] = attack(case, kind.model_construct(epsilon=limits, steps=STEPS))
     assert not found["apgd"].fooled
@@ -136,7 +136,7 @@ def test_the_masking_check_is_square_within_the_same_limits_and_counts_what_it_a
         renderer = Pixels()
         target = LinearTarget(scale=scale) if outcome == "fooled" else Ahead(renderer)
         case = problem(renderer, target, epsilon={"image": EPSILON})
-        apgd = Apgd.model_construct(epsilon={"image": EPSILON}, steps=1)
+        apgd = APGD.model_construct(epsilon={"image": EPSILON}, steps=1)
         found = check_masking(AttackRun.begin_or_resume(case, apgd, Verifier.of(case)), 30)
         assert found["square"] == outcome
         assert case.counts.queries == found["queries"] + 1 + (outcome == "fooled")  # type: ignore[operator]

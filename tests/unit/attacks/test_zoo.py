@@ -5,7 +5,7 @@ import torch
 from torch import Tensor
 
 from scene_attack.attacks.differences import CANDIDATES, estimate
-from scene_attack.attacks.zoo import Zoo
+from scene_attack.attacks.zoo import ZOO
 from tests.unit.attacks.small import (
     CurvedRenderer,
     FreeRenderer,
@@ -18,9 +18,9 @@ from tests.unit.attacks.small import (
 )
 
 
-def settings(**changes: object) -> Zoo:
+def settings(**changes: object) -> ZOO:
     values = {"coordinates": 128, "delta": 1e-4, "learning_rate": 2e-3, "steps": 10}
-    return Zoo.model_construct(**(values | changes))  # type: ignore[arg-type]
+    return ZOO.model_construct(**(values | changes))  # type: ignore[arg-type]
 
 
 def test_with_all_coordinates_it_is_adam_on_the_true_gradient() -> None:

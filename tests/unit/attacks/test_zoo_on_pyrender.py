@@ -10,7 +10,7 @@ from scene_attack.attacks.goal import ResolvedGoal
 from scene_attack.attacks.limits import Limits
 from scene_attack.attacks.problem import AttackProblem
 from scene_attack.attacks.run import AttackRun, Verifier
-from scene_attack.attacks.zoo import Zoo
+from scene_attack.attacks.zoo import ZOO
 from scene_attack.rendering.pyrender.renderer import PyrenderRenderer
 from scene_attack.scenes.description import Lights, PointLight
 from tests.unit.attacks.small import LinearTarget, attack, stepped
@@ -28,9 +28,9 @@ def problem(*lights: PointLight) -> AttackProblem:
     return AttackProblem.of(renderer, LinearTarget(), ResolvedGoal((0,), None), Limits.of(renderer, groups))  # type: ignore[arg-type]
 
 
-def settings(**changes: object) -> Zoo:
+def settings(**changes: object) -> ZOO:
     values = {"coordinates": 128, "delta": 1e-2, "learning_rate": 2e-3, "steps": 10}
-    return Zoo.model_construct(**(values | changes))  # type: ignore[arg-type]
+    return ZOO.model_construct(**(values | changes))  # type: ignore[arg-type]
 
 
 def test_skipped_coordinates_are_listed_and_not_asked_about() -> None:

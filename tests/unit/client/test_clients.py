@@ -11,7 +11,6 @@ import numpy as np
 import PIL.Image
 import pytest
 
-import scene_attack as package
 from scene_attack import ApiError, AsyncClient, Client, Unfinished, images
 from scene_attack.client import operations
 from scene_attack.client.client import AsyncJob
@@ -332,9 +331,3 @@ def test_the_key_and_the_url_may_be_given(client: Client, script: Script, monkey
     assert script.seen[0][2]["Authorization"] == "Bearer sa_mine"
     with pytest.raises(InvalidRequest, match="no address of a service"):
         Client("localhost:8008")
-
-
-def test_the_package_names_what_it_has() -> None:
-    assert all(getattr(package, name) is not None for name in package.__all__)
-    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
-        _ = package.nothing

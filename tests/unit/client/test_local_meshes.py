@@ -8,7 +8,8 @@ import pytest
 from torch import nn
 from typer.testing import CliRunner
 
-from scene_attack import Client, attack
+import scene_attack as sa
+from scene_attack import Client
 from scene_attack.cli import specs
 from scene_attack.cli.app import app
 from scene_attack.cli.specs import Adding, bundle_at, folder_of, read_campaign, read_job, to_library, with_meshes_added
@@ -181,10 +182,7 @@ def test_attack_takes_a_file_of_the_working_directory(folder: Path, monkeypatch:
     monkeypatch.chdir(folder)
     scene = {"camera": {"size": [16, 16]}, "objects": [{"mesh": "./chair.obj"}]}
     network = nn.Sequential(nn.Flatten(), nn.Linear(3 * 16 * 16, 2))
-    found = attack(
-        scene,
-        network,
-        {"attack": {"renderer": "pyrender", "steps": 1, "queries": 4}},
-        preprocessing={"input_size": [16, 16]},
-    )
-    assert found.spec["scene"]["objects"][0]["mesh"] == to_library(Settings())(folder / "chair.obj")[0]
+    target = sa.target(network, preprocessing={"input_size": [16, 16]})
+    found = sa.attack(scene, target, {"renderer": "pyrender", "steps": 1, "queries": 4})
+    asked: Any = found.record.spec
+    assert asked["scene"]["objects"][0]["mesh"] == to_library(Settings())(folder / "chair.obj")[0]

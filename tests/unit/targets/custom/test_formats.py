@@ -9,7 +9,7 @@ from safetensors.torch import load_file
 from torch import Tensor
 from torch.nn import functional as F
 
-from scene_attack import attack, images
+import scene_attack as sa
 from scene_attack.errors import InvalidRequest
 from scene_attack.runs.execute import execute
 from scene_attack.runs.prepare import prepare
@@ -116,8 +116,8 @@ def test_they_give_the_same_adversary(tmp_path: Path) -> None:
 def test_a_module_that_is_passed_gives_it_too(tmp_path: Path) -> None:
     module = network().train()
     preprocessing = {"input_size": SIZE, "mean": MEAN, "scale": SCALE}
-    about = {"labels": LABELS, "preprocessing": preprocessing, "name": "mine", "out": tmp_path / "out"}
-    result = attack(SCENE, module, {"attack": FGSM}, **about)
+    target = sa.target(module, labels=LABELS, preprocessing=preprocessing, name="mine")
+    result = sa.attack(SCENE, target, FGSM).record
     wanted = job("module", tmp_path)
     assert result.attacked.label == wanted.attacked.label
     assert result.change.step == wanted.change.step
@@ -128,26 +128,23 @@ def test_a_module_that_is_passed_gives_it_too(tmp_path: Path) -> None:
 @pytest.mark.usefixtures("formats")
 def test_a_module_without_labels_has_numbers(tmp_path: Path) -> None:
     preprocessing = {"input_size": SIZE, "mean": MEAN, "scale": SCALE}
-    result = attack(
-        SCENE, network(), {"attack": FGSM}, preprocessing=preprocessing, name="numbered", out=tmp_path / "out"
-    )
+    target = sa.target(network(), preprocessing=preprocessing, name="numbered")
+    result = sa.attack(SCENE, target, FGSM, out=tmp_path / "out").record
     wanted = job("module", tmp_path)
     assert result.attacked.label == str(LABELS.index(wanted.attacked.label))
-    assert images(tmp_path / "out").attacked.size == (result.spec["scene"]["camera"]["size"][1],) * 2
+    assert sa.images(tmp_path / "out").attacked.size == (result.spec["scene"]["camera"]["size"][1],) * 2
 
 
 @pytest.mark.parametrize(
     ("spec", "field"),
     [
-        ({"scene": SCENE}, "spec.scene"),
-        ({"target": {"name": "module"}}, "spec.target"),
         ({"attack": {"steps": -1}}, "attack.steps"),
         ({"colour": 1}, "colour"),
     ],
 )
-def test_a_field_that_has_no_place_in_the_spec_is_named(spec: dict[str, Any], field: str) -> None:
+def test_a_field_that_has_no_place_in_a_request_is_named(spec: dict[str, Any], field: str) -> None:
     with pytest.raises(InvalidRequest) as refused:
-        attack(SCENE, network(), spec)
+        sa.attack(SCENE, network(), **spec)
     assert refused.value.field == field
 
 
@@ -155,8 +152,8 @@ def test_a_module_that_takes_no_such_image_is_told_the_size() -> None:
     with pytest.raises(
         InvalidRequest, match=r"takes no images \[1, 3, 224, 224\].*preprocessing.input_size"
     ) as refused:
-        attack(SCENE, torch.nn.Sequential(torch.nn.Flatten(), torch.nn.Linear(27, 2)))
-    assert refused.value.field == "model"
+        sa.attack(SCENE, torch.nn.Sequential(torch.nn.Flatten(), torch.nn.Linear(27, 2)))
+    assert refused.value.field == "target"
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,414 @@
+"""The library's door: a scene, a network and an attack go in as objects, and a result comes out."""
+
+from __future__ import annotations
+
+import base64
+import html
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
+from io import BytesIO
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
+
+from scene_attack import disk
+from scene_attack.errors import InvalidFields, InvalidRequest
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+    from torch import Tensor, nn
+
+    from scene_attack.analysis.records import Answer
+    from scene_attack.attacks.attack import Attack
+    from scene_attack.options import Options
+    from scene_attack.rendering.plan import Plan, Tolerance
+    from scene_attack.rendering.protocol import Renderer
+    from scene_attack.runs import result as runs
+    from scene_attack.runs.execute import Progress
+    from scene_attack.runs.replay import Replay
+    from scene_attack.runs.spec import Goal, JobSpec
+    from scene_attack.scenes.description import Scene
+    from scene_attack.targets.custom.card import Preprocessing
+    from scene_attack.targets.info import TargetInfo
+    from scene_attack.targets.protocol import Target
+
+    Network = nn.Module | Target | Callable[[Tensor], Any]
+
+MODULE = "module"
+"""The name of a network that is given none."""
+_PARTS = ("name", "labels", "input_size", "differentiable", "takes_question", "weights_sha256", "backend")
+"""Attributes of a target."""
+
+
+@dataclass(frozen=True)
+class Seen:
+    """An image, uint8 [H, W, 3], and what the network answered."""
+
+    answer: Answer
+    image: NDArray[np.uint8]
+
+    @property
+    def label(self) -> str:
+        """The label of the largest score."""
+        return self.answer.label
+
+    @property
+    def confidence(self) -> float:
+        """The label's probability."""
+        return self.answer.confidence
+
+
+@dataclass(frozen=True, repr=False)
+class Result:
+    """What an attack came to: its record, which is the `result` of a job, and the files that `run --out` writes."""
+
+    record: runs.Result
+    files: Mapping[str, bytes]
+
+    @property
+    def outcome(self) -> str:
+        """The verdict in one word; only "fooled" counts as a success."""
+        return self.record.outcome
+
+    @property
+    def verified(self) -> bool:
+        """Whether the answer to the stored perturbation, rendered afresh and rounded to 8 bits, meets the goal."""
+        return self.record.verified
+
+    @property
+    def perceptibility(self) -> float:
+        """The paper's p(ΔY), in [0, √3]: of the exact image before it is rounded."""
+        return self.record.p
+
+    @cached_property
+    def original(self) -> Seen:
+        """The scene's own image and the answer to it."""
+        from scene_attack.runs.result import ORIGINAL
+
+        return Seen(self.record.original, self._pixels(ORIGINAL))
+
+    @cached_property
+    def attacked(self) -> Seen:
+        """The exact image of the perturbation, rounded to 8 bits, and the answer to it."""
+        from scene_attack.runs.result import ATTACKED
+
+        return Seen(self.record.attacked, self._pixels(ATTACKED))
+
+    @cached_property
+    def perturbation(self) -> dict[str, Tensor]:
+        """The change of each attacked group, in the group's unit."""
+        from safetensors.torch import load
+
+        from scene_attack.runs.result import PERTURBATION
+
+        return load(self.files[PERTURBATION])
+
+    @property
+    def plan(self) -> Plan:
+        """How the images inside the attack were rendered, what was left out, and the error that is stated."""
+        return self.record.plan
+
+    @property
+    def trace(self) -> list[Any]:
+        """One row for each step."""
+        return self.record.trace
+
+    def save(self, folder: Path | str) -> None:
+        """Writes the files into a folder. Raises InvalidRequest("folder") if it holds the result of another job."""
+        from scene_attack.cli.result_folder import check_free, prepare_folder
+        from scene_attack.runs.spec import parse
+
+        made_by = self.record.provenance
+        network = (made_by.weights_sha256, made_by.card_sha256)
+        check_free(Path(folder), parse(self.record.spec), "folder", network)
+        prepare_folder(Path(folder), "folder")
+        for name, data in self.files.items():
+            disk.write(Path(folder) / name, data)
+
+    def replay(self, target: Network | None = None, *, options: Options | None = None) -> Replay:
+        """Renders both images again by the exact path, asks the network, and says what differs.
+
+        `target` is the network of this process that was attacked; a network with a name is found by it. Raises as
+        `attack` does.
+        """
+        from scene_attack.cli.specs import local_library
+        from scene_attack.runs.replay import replay
+
+        chosen = _set_up(options)
+        asked: Any = self.record.spec["target"]
+        with _known(None if target is None else _target(target, asked["name"])), TemporaryDirectory() as folder:
+            for file, data in self.files.items():
+                (Path(folder) / file).write_bytes(data)
+            return replay(Path(folder), local_library(chosen), chosen)
+
+    def __repr__(self) -> str:
+        word = "verified" if self.verified else "not verified"
+        labels = f"{self.record.original.label} → {self.record.attacked.label}"
+        return f"<Result {labels}: {self.outcome}, {word}, p = {self.perceptibility:.4f}>"
+
+    def _repr_html_(self) -> str:
+        """The images before and after, their difference times 5, and the answers, as a notebook shows them."""
+        pictures = {
+            "original.png": f"{self.original.label} {self.original.confidence:.2f}",
+            "attacked.png": f"{self.attacked.label} {self.attacked.confidence:.2f}",
+            "perturbation.png": f"p = {self.perceptibility:.4f}",
+        }
+        cells = "".join(
+            f'<td><img src="data:image/png;base64,{base64.b64encode(self.files[name]).decode()}" alt="{name}"><br>'
+            f"{html.escape(words)}</td>"
+            for name, words in pictures.items()
+        )
+        word = "verified" if self.verified else "not verified"
+        return f"<table><tr>{cells}</tr></table><p>{self.outcome}, {word}</p>"
+
+    def _pixels(self, name: str) -> NDArray[np.uint8]:
+        import numpy as np
+        from PIL import Image
+
+        with Image.open(BytesIO(self.files[name])) as image:
+            return np.asarray(image.convert("RGB"))
+
+
+def load(folder: Path | str) -> Result:
+    """Reads the result in a folder that `Result.save`, `run --out` or a job's download wrote.
+
+    Raises InvalidRequest("directory") if it is no output of a finished job, or is damaged.
+    """
+    from scene_attack.runs.replay import read_stored
+
+    stored = read_stored(Path(folder))
+    files = sorted(path for path in Path(folder).iterdir() if path.is_file())
+    return Result(stored.result, {path.name: path.read_bytes() for path in files})
+
+
+def target(
+    network: Network,
+    *,
+    labels: Sequence[str] | str | None = None,
+    preprocessing: Preprocessing | Mapping[str, Any] | None = None,
+    name: str = MODULE,
+) -> Target:
+    """A network of this process as a target: a torch module, or a function of images.
+
+    A module takes images [B, 3, H, W] and returns scores [B, K] before the softmax; it is copied and not changed. A
+    function does the same with float32 CPU tensors, and may return any array; only methods without gradients attack it.
+    `labels` names the scores: a list, "imagenet" for ImageNet's 1,000 in their usual order, with which library meshes
+    have their truth, or None for "0" to "K-1". `preprocessing` says how an image becomes the input. A target is
+    returned as it is. Raises InvalidRequest, which names the argument.
+    """
+    return _target(network, name, labels, preprocessing)
+
+
+def attack(
+    scene: Scene | Mapping[str, Any] | None,
+    target: Network | str | Mapping[str, Any],
+    attack: Attack | Mapping[str, Any] | None = None,
+    *,
+    goal: Goal | Mapping[str, Any] | None = None,
+    seed: int = 0,
+    out: Path | str | None = None,
+    progress: Callable[[Progress], None] = lambda _: None,
+    options: Options | None = None,
+    **others: Any,
+) -> Result:
+    """Runs one attack and returns its result.
+
+    Each argument is an object, or what a request has in its place (docs/reference/fields.md). `target` is a network of
+    this process (see `target`), the name of one that `scene-attack targets` lists, or a request's `target`. `others`
+    are further fields of a request: `tolerance`, `analysis`, and, with None for the scene, `record` or `generate`. A
+    `mesh` may be a path relative to the working directory, "./chair.obj". With `out`, the files are written into that
+    folder while the attack runs; it may hold no other job's result. `options` default to those of the SCENE_ATTACK_
+    variables. Raises InvalidRequest, which names the field or the argument, for anything that cannot run, and
+    JobFailure for a run that fails.
+    """
+    from scene_attack.cli.result_folder import check_free, prepare_folder
+    from scene_attack.cli.specs import local_library
+    from scene_attack.runs.execute import execute
+
+    chosen = _set_up(options)
+    given = {"scene": scene, "attack": attack, "goal": goal}
+    fields = {"seed": seed} | others | {name: _data(name, one) for name, one in given.items() if one is not None}
+    made = network = None
+    if isinstance(target, str):
+        fields["target"] = {"name": target}
+    elif isinstance(target, Mapping):
+        fields["target"] = dict(target)
+    else:
+        made = _target(target)
+        fields["target"] = {"name": made.name}
+        network = _hashes(made)
+    with _known(made), TemporaryDirectory() as scratch:
+        spec = _spec(fields, chosen)
+        folder = Path(scratch if out is None else out)
+        if out is not None:
+            check_free(folder, spec, "out", network)
+            prepare_folder(folder, "out")
+        execute(spec, folder, local_library(chosen), progress=progress)
+        return load(folder)
+
+
+def renderer(
+    scene: Scene | Mapping[str, Any],
+    name: str = "torch",
+    *,
+    groups: Sequence[str] | None = None,
+    tolerance: Tolerance | None = None,
+    options: Options | None = None,
+) -> Renderer:
+    """The renderer of a scene, for a loop of one's own: `renderer.render({group: values [B, …]})` gives images
+    [B, H, W, 3] in [0,1], with gradients where the renderer has them; `renderer.initial()` are the scene's own values.
+
+    `groups` are those that will change (None: the renderer's default ones), within `tolerance` of a displayed value.
+    Raises InvalidRequest, which names the field.
+    """
+    from scene_attack.cli.specs import local_library
+    from scene_attack.rendering.factory import build
+    from scene_attack.rendering.plan import DEFAULT_TOLERANCE
+    from scene_attack.scenes.resolve import resolve
+
+    chosen = _set_up(options)
+    spec = _spec({"scene": _data("scene", scene)}, chosen)
+    within = DEFAULT_TOLERANCE if tolerance is None else tolerance
+    return build(resolve(spec.scene, local_library(chosen)), name, groups=groups, tolerance=within)
+
+
+def _set_up(options: Options | None) -> Options:
+    from scene_attack.runs.environment import read_options
+    from scene_attack.runs.extensions import set_up
+
+    chosen = read_options() if options is None else options
+    set_up(chosen)
+    return chosen
+
+
+def _data(field: str, given: object) -> dict[str, Any]:
+    """A part of a request as JSON data. Raises InvalidRequest for what is neither an object nor a dictionary."""
+    from pydantic import BaseModel
+
+    if isinstance(given, BaseModel):
+        kind = {"method": given.method} if hasattr(given, "method") else {}
+        return given.model_dump(mode="json", exclude_unset=True) | kind
+    if isinstance(given, Mapping):
+        return dict(given)
+    detail = f"must be an object such as sa.Scene, or a dictionary as a request has it, not {type(given).__name__}"
+    raise InvalidRequest(field, detail)
+
+
+def _spec(fields: dict[str, Any], options: Options) -> JobSpec:
+    from scene_attack.cli.specs import parsed
+    from scene_attack.runs.spec import parse
+
+    return parsed(parse, fields, Path.cwd(), options)
+
+
+def _target(network: Any, name: str = MODULE, labels: Any = None, preprocessing: Any = None) -> Target:
+    from torch import nn
+
+    from scene_attack.targets.custom.loading import scores_of, target_of
+
+    if not isinstance(network, nn.Module) and hasattr(network, "logits"):
+        missing = [part for part in _PARTS if not hasattr(network, part)]
+        if missing:
+            raise InvalidRequest("target", f"it has `logits` and so is a target, but no {' and no '.join(missing)}")
+        if labels is not None or preprocessing:
+            field = "preprocessing" if labels is None else "labels"
+            raise InvalidRequest(field, "a target has labels and preprocessing of its own; leave both out")
+        made: Target = network
+        return made
+    if not callable(network):
+        raise InvalidRequest(
+            "target",
+            f"must be a torch.nn.Module, a function of images [B, 3, H, W], or a target, not {type(network).__name__}",
+        )
+    chosen = _preprocessing({} if preprocessing is None else preprocessing)
+    named = _labels(labels) or _numbers(network, chosen)
+    return (target_of if isinstance(network, nn.Module) else scores_of)(name, network, named, chosen)
+
+
+def _info(made: Target) -> TargetInfo:
+    """The card of a target of this process. ImageNet's labels are known by their words."""
+    from scene_attack.targets.custom.loading import describe
+    from scene_attack.targets.labels import imagenet_labels
+
+    return describe(made.name, made, "imagenet" if tuple(made.labels) == imagenet_labels() else "custom")
+
+
+def _hashes(made: Target) -> tuple[str | None, ...]:
+    """The hashes of a target's weights and card. Nobody knows whether two functions are the same: they have none."""
+    from scene_attack.targets.custom.loading import ScoresOnly
+
+    unknown = isinstance(getattr(made, "network", None), ScoresOnly)
+    return () if unknown else (made.weights_sha256, _info(made).card_sha256)
+
+
+@contextmanager
+def _known(made: Target | None) -> Iterator[None]:
+    """Makes a target of this process known under its name; None has a name already."""
+    from scene_attack.targets.registry import registered
+
+    if made is None:
+        yield
+    else:
+        with registered(_info(made), made):
+            yield
+
+
+def _labels(labels: Any) -> tuple[str, ...]:
+    """The labels of the argument; empty if it names none."""
+    from scene_attack.targets.labels import imagenet_labels
+
+    if labels is None:
+        return ()
+    if isinstance(labels, str) and labels == "imagenet":
+        return imagenet_labels()
+    whole = isinstance(labels, str) or not isinstance(labels, Sequence)
+    wrong = [labels] if whole else [label for label in labels if not isinstance(label, str)]
+    if wrong:
+        refused = f"{wrong[0]!r:.80}{'' if whole else ' in a list'}"
+        raise InvalidRequest("labels", f'must be a list of texts, "imagenet", or None for numbers, not {refused}')
+    return tuple(labels)
+
+
+def _preprocessing(given: Any) -> Preprocessing:
+    from pydantic import ValidationError
+
+    from scene_attack.runs.field_errors import invalid_fields
+    from scene_attack.targets.custom.card import Preprocessing
+
+    if isinstance(given, Preprocessing):
+        return given
+    if not isinstance(given, Mapping):
+        detail = f"must be sa.Preprocessing or a mapping such as {{'input_size': [32, 32]}}, not {type(given).__name__}"
+        raise InvalidRequest("preprocessing", detail)
+    try:
+        return Preprocessing.model_validate(dict(given))
+    except ValidationError as error:
+        errors = invalid_fields(error.errors(include_url=False), Preprocessing)
+        raise InvalidFields(
+            [InvalidRequest(f"preprocessing.{wrong.field}", wrong.detail) for wrong in errors]
+        ) from error
+
+
+def _numbers(model: Callable[[Tensor], Any], preprocessing: Preprocessing) -> tuple[str, ...]:
+    """The numbers of the model's scores, found by showing a copy of it a black image."""
+    from copy import deepcopy
+
+    import torch
+
+    from scene_attack.targets.custom.loading import ScoresOnly
+
+    network = deepcopy(model).eval() if isinstance(model, torch.nn.Module) else ScoresOnly(model)
+    weight = next(network.parameters(), torch.zeros(1))
+    try:
+        with torch.no_grad():
+            scores = network(weight.new_zeros(1, 3, *preprocessing.input_size))
+    except Exception as error:
+        size = ", ".join(map(str, preprocessing.input_size))
+        detail = f"it takes no images [1, 3, {size}] ({error}); preprocessing.input_size says which it takes"
+        raise InvalidRequest("target", detail) from error
+    if not isinstance(scores, torch.Tensor) or scores.ndim != 2:
+        raise InvalidRequest("target", "it must return scores [B, K], one row for each image")
+    return tuple(map(str, range(scores.shape[1])))

@@ -1,0 +1,179 @@
+"""The library's door: what is accepted as a scene, a network, labels and a folder, what is said of the rest, and what a
+result gives.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+import scene_attack as sa
+from scene_attack.errors import InvalidRequest
+from scene_attack.options import Options
+
+SCENE: dict[str, Any] = {"objects": [{"mesh": "primitive/sphere"}], "camera": {"size": [32, 32]}}
+SPEC: dict[str, Any] = {"attack": {"renderer": "image", "steps": 1}}
+SEARCH: dict[str, Any] = {"attack": {"renderer": "image", "method": "square", "steps": 2}}
+SMALL = {"preprocessing": {"input_size": [8, 8]}}
+
+
+def network(classes: int = 3, seed: int = 0) -> torch.nn.Module:
+    """A linear network of 8×8 images."""
+    layer = torch.nn.Linear(192, classes)
+    weight = torch.randn(classes, 192, generator=torch.Generator().manual_seed(seed))
+    with torch.no_grad():
+        layer.weight.copy_(weight)
+        layer.bias.zero_()
+    return torch.nn.Sequential(torch.nn.Flatten(), layer)
+
+
+def attack(model: Any, spec: dict[str, Any] = SPEC, out: Path | None = None, **about: Any) -> sa.Result:
+    """Attacks a network of this process, of which `about` says more."""
+    return sa.attack(SCENE, sa.target(model, **about), out=out, **spec)
+
+
+def test_labels_of_none_are_numbers() -> None:
+    result = attack(network(), labels=None, **SMALL)
+    assert result.original.label in {"0", "1", "2"}
+
+
+def test_labels_of_imagenet_are_its_names_and_a_library_mesh_has_its_truth() -> None:
+    scene = SCENE | {"objects": [{"mesh": "furniture/grand-piano"}]}
+    result = sa.attack(scene, sa.target(network(1000), labels="imagenet", **SMALL), **SPEC)
+    assert result.record.verdict.truth == ["grand piano"]
+
+
+@pytest.mark.parametrize("kind", [torch.Tensor, np.ndarray, list])
+def test_a_function_is_attacked_by_its_scores_and_is_the_module_it_computes(kind: type) -> None:
+    module = network()
+
+    def scores(images: torch.Tensor) -> Any:
+        assert not images.requires_grad
+        found = module(images).detach()
+        return found if kind is torch.Tensor else found.numpy() if kind is np.ndarray else found.tolist()
+
+    found, wanted = (attack(one, SEARCH, labels=["a", "b", "c"], **SMALL) for one in (scores, module))
+    assert (found.original.label, found.attacked.label) == (wanted.original.label, wanted.attacked.label)
+    assert dict(found.attacked.answer.top) == pytest.approx(dict(wanted.attacked.answer.top))
+
+
+def test_a_method_that_needs_gradients_of_a_function_is_refused_with_what_would_do() -> None:
+    with pytest.raises(InvalidRequest, match=r"it is a function.*methods without gradients are cma-es") as refused:
+        attack(lambda images: network()(images), **SMALL)
+    assert refused.value.field == "attack.method"
+
+
+@pytest.mark.parametrize(
+    ("field", "given", "said"),
+    [
+        ("labels", "cat", "not 'cat'"),
+        ("labels", 5, "not 5"),
+        ("labels", ["cat", 7], "not 7 in a list"),
+        ("preprocessing", 3, "not int"),
+    ],
+)
+def test_a_target_of_anything_else_is_refused_by_the_name_of_its_argument(field: str, given: Any, said: str) -> None:
+    with pytest.raises(InvalidRequest, match=said) as refused:
+        sa.target(network(), **{field: given})
+    assert refused.value.field == field
+
+
+@pytest.mark.parametrize(
+    ("field", "given", "said"),
+    [
+        ("target", 5, "must be a torch.nn.Module, a function .*, or a target, not int"),
+        ("scene", "scene.json", "must be an object such as sa.Scene, or a dictionary as a request has it, not str"),
+        ("attack", [], "not list"),
+        ("goal", "chair", "not str"),
+    ],
+)
+def test_anything_else_is_refused_by_the_name_of_its_argument(field: str, given: Any, said: str) -> None:
+    with pytest.raises(InvalidRequest, match=said) as refused:
+        sa.attack(**{"scene": SCENE, "target": sa.target(network(), **SMALL), **SPEC, field: given})
+    assert refused.value.field == field
+
+
+def test_objects_are_what_a_request_says() -> None:
+    target = sa.target(network(), preprocessing=sa.Preprocessing(input_size=(8, 8)))
+    scene = sa.Scene(camera=sa.Camera(size=(32, 32)), objects=[sa.Object(mesh="primitive/sphere")])
+    goal = sa.Goal(leave_kind=False)
+    whole = sa.attack(scene, target, sa.FGSM(renderer="image", steps=1), goal=goal, seed=3)
+    asked = sa.attack(SCENE, target, {"renderer": "image", "method": "fgsm", "steps": 1}, seed=3)
+    assert whole.record.spec == asked.record.spec
+    assert whole.files["attacked.png"] == asked.files["attacked.png"]
+
+
+def test_a_network_that_has_a_name_is_attacked_by_it() -> None:
+    result = sa.attack(SCENE, "efficientnet-lite0", sa.FGSM(renderer="image", steps=1), tolerance="exact")
+    assert result.record.spec["target"] == {"name": "efficientnet-lite0", "question": None}
+    assert result.replay().reproduced
+
+
+def test_a_result_is_saved_read_and_replayed(tmp_path: Path) -> None:
+    target = sa.target(network(), **SMALL)
+    result = sa.attack(SCENE, target, sa.FGSM(renderer="torch", groups=["illumination"], steps=2))
+    assert (result.original.image.shape, result.original.image.dtype) == ((32, 32, 3), np.uint8)
+    assert result.perturbation["illumination"].abs().max() > 0
+    assert result.original.label == result.record.original.label
+    result.save(tmp_path / "out")
+    again = sa.load(tmp_path / "out")
+    assert again.files == result.files
+    assert again.replay(target).reproduced
+    assert result._repr_html_().count("data:image/png;base64,") == 3
+    with pytest.raises(InvalidRequest, match="holds the result of another job"):
+        sa.attack(SCENE, target, sa.FGSM(renderer="image", steps=1)).save(tmp_path / "out")
+    with pytest.raises(InvalidRequest, match="is not the output of a finished job"):
+        sa.load(tmp_path)
+
+
+def test_a_replay_of_another_network_is_refused() -> None:
+    result = attack(network(), **SMALL)
+    with pytest.raises(InvalidRequest, match="weights"):
+        result.replay(sa.target(network(seed=1), **SMALL))
+    with pytest.raises(InvalidRequest, match="there is no target 'module'"):
+        result.replay()
+
+
+def test_a_renderer_is_for_a_loop_of_ones_own() -> None:
+    renderer = sa.renderer(SCENE, "torch", groups=["illumination"])
+    light = renderer.initial()["illumination"][None].clone().requires_grad_()
+    renderer.render({"illumination": light}).sum().backward()  # type: ignore[no-untyped-call]
+    assert light.grad is not None
+    assert bool(light.grad.abs().sum() > 0)
+
+
+def test_options_of_another_process_are_refused() -> None:
+    with pytest.raises(InvalidRequest, match=r"this process has .* already and cannot change to torch"):
+        sa.attack(SCENE, sa.target(network(), **SMALL), **SPEC, options=Options(kernel="torch"))
+
+
+def test_every_public_name_is_there() -> None:
+    assert all(getattr(sa, name) is not None for name in sa.__all__)
+    assert dir(sa) == sorted(sa.__all__)
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        _ = sa.nothing
+
+
+def test_a_folder_with_another_result_is_refused_and_the_same_request_is_taken(tmp_path: Path) -> None:
+    attack(network(), out=tmp_path / "out", **SMALL)
+    attack(network(), out=tmp_path / "out", **SMALL)
+    before = (tmp_path / "out" / "result.json").read_bytes()
+    others: list[tuple[Any, dict[str, Any], dict[str, Any]]] = [
+        (network(seed=1), SPEC, SMALL),
+        (network(), SPEC | {"seed": 1}, SMALL),
+        (network(), SPEC, SMALL | {"labels": list("xyz")}),
+        (network(), SPEC, {"preprocessing": {"input_size": [8, 8], "mean": [0.1, 0.2, 0.3]}}),
+        (network().forward, SEARCH, SMALL),
+    ]
+    for model, spec, about in others:
+        with pytest.raises(InvalidRequest, match=r"holds the result of another (job|network)") as refused:
+            attack(model, spec, tmp_path / "out", **about)
+        assert refused.value.field == "out"
+    attack(network().forward, SEARCH, tmp_path / "function", **SMALL)
+    with pytest.raises(InvalidRequest, match="holds the result of another network"):  # it may be another function
+        attack(network().forward, SEARCH, tmp_path / "function", **SMALL)
+    with pytest.raises(InvalidRequest, match="is a file; name a folder"):
+        attack(network(), out=tmp_path / "out" / "result.json", **SMALL)
+    assert (tmp_path / "out" / "result.json").read_bytes() == before
