@@ -135,14 +135,20 @@ class Result:
         `attack` does.
         """
         from scene_attack.cli.specs import local_library
+        from scene_attack.owner import run
         from scene_attack.runs.replay import replay
 
         chosen = _set_up(options)
         asked: Any = self.record.spec["target"]
-        with _known(None if target is None else _target(target, asked["name"])), TemporaryDirectory() as folder:
-            for file, data in self.files.items():
-                (Path(folder) / file).write_bytes(data)
-            return replay(Path(folder), local_library(chosen), chosen)
+        made = None if target is None else _target(target, asked["name"])
+
+        def work(_: Callable[[], bool]) -> Replay:
+            with _known(made), TemporaryDirectory() as folder:
+                for file, data in self.files.items():
+                    (Path(folder) / file).write_bytes(data)
+                return replay(Path(folder), local_library(chosen), chosen)
+
+        return run(work)
 
     def __repr__(self) -> str:
         word = "verified" if self.verified else "not verified"
@@ -223,9 +229,12 @@ def attack(
     folder while the attack runs; it may hold no other job's result. `options` default to those of the SCENE_ATTACK_
     variables. Raises InvalidRequest, which names the field or the argument, for anything that cannot run, and
     JobFailure for a run that fails.
+
+    It may be called from several threads: attacks run one after the other (`scene_attack.owner`).
     """
     from scene_attack.cli.result_folder import check_free, prepare_folder
     from scene_attack.cli.specs import local_library
+    from scene_attack.owner import run
     from scene_attack.runs.execute import execute
 
     chosen = _set_up(options)
@@ -240,14 +249,18 @@ def attack(
         made = _target(target)
         fields["target"] = {"name": made.name}
         network = _hashes(made)
-    with _known(made), TemporaryDirectory() as scratch:
-        spec = _spec(fields, chosen)
-        folder = Path(scratch if out is None else out)
-        if out is not None:
-            check_free(folder, spec, "out", network)
-            prepare_folder(folder, "out")
-        execute(spec, folder, local_library(chosen), progress=progress)
-        return load(folder)
+
+    def work(interrupted: Callable[[], bool]) -> Result:
+        with _known(made), TemporaryDirectory() as scratch:
+            spec = _spec(fields, chosen)
+            folder = Path(scratch if out is None else out)
+            if out is not None:
+                check_free(folder, spec, "out", network)
+                prepare_folder(folder, "out")
+            execute(spec, folder, local_library(chosen), progress=progress, cancelled=interrupted)
+            return load(folder)
+
+    return run(work)
 
 
 def renderer(
@@ -265,22 +278,30 @@ def renderer(
     Raises InvalidRequest, which names the field.
     """
     from scene_attack.cli.specs import local_library
+    from scene_attack.owner import Owned, run
     from scene_attack.rendering.factory import build
     from scene_attack.rendering.plan import DEFAULT_TOLERANCE
     from scene_attack.scenes.resolve import resolve
 
     chosen = _set_up(options)
-    spec = _spec({"scene": _data("scene", scene)}, chosen)
+    fields = {"scene": _data("scene", scene)}
     within = DEFAULT_TOLERANCE if tolerance is None else tolerance
-    return build(resolve(spec.scene, local_library(chosen)), name, groups=groups, tolerance=within)
+
+    def work(_: Callable[[], bool]) -> Renderer:
+        found = resolve(_spec(fields, chosen).scene, local_library(chosen))
+        return build(found, name, groups=groups, tolerance=within)
+
+    owned: Any = Owned(run(work))
+    return owned  # type: ignore[no-any-return]
 
 
 def _set_up(options: Options | None) -> Options:
+    from scene_attack.owner import run
     from scene_attack.runs.environment import read_options
     from scene_attack.runs.extensions import set_up
 
     chosen = read_options() if options is None else options
-    set_up(chosen)
+    run(lambda _: set_up(chosen))
     return chosen
 
 

@@ -164,6 +164,11 @@ def current() -> Context:
     return _context
 
 
+def owner() -> int | None:
+    """The thread that OpenGL belongs to; None before it was used."""
+    return None if _context is None else _context.thread
+
+
 def gl_backend() -> str:
     """Everything of the OpenGL side that decides the bits of an image: platform, driver and library versions."""
     return current().backend

@@ -1,0 +1,69 @@
+"""The thread in which the library draws and attacks, whoever calls it: OpenGL belongs to one thread of a process.
+
+What several threads ask for is done one after the other, so that it has the results that it has alone.
+"""
+
+import threading
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, TypeVar
+
+import torch
+
+from scene_attack.rendering.opengl import context
+
+Answer = TypeVar("Answer")
+_thread = ThreadPoolExecutor(1, "scene-attack")
+_ident: int | None = None
+_lock = threading.Lock()
+
+
+def run(work: Callable[[Callable[[], bool]], Answer]) -> Answer:
+    """Returns the answer of `work`, which runs in the owner thread; an error is raised here.
+
+    `work` gets a function that says whether the caller has been interrupted, as by Ctrl-C: it then has to end, and is
+    waited for. A program that has used OpenGL in this thread already, as a command does, works in it.
+    """
+    if threading.get_ident() in (_owner_ident(), context.owner()):
+        return work(lambda: False)
+    interrupted = threading.Event()
+    gradients = torch.is_grad_enabled()
+
+    def task() -> Answer:
+        with torch.set_grad_enabled(gradients):  # each thread has a mode of its own
+            return work(interrupted.is_set)
+
+    future = _thread.submit(task)
+    try:
+        return future.result()
+    except BaseException:
+        interrupted.set()
+        future.exception()
+        raise
+
+
+def _owner_ident() -> int:
+    global _ident
+    with _lock:
+        if _ident is None:
+            _ident = _thread.submit(threading.get_ident).result()
+        return _ident
+
+
+class Owned:
+    """A renderer that renders in the owner thread; the rest is the renderer's own."""
+
+    def __init__(self, renderer: Any) -> None:
+        self._renderer = renderer
+
+    def render(self, parameters: dict[str, torch.Tensor]) -> torch.Tensor:
+        """As the renderer does."""
+        images: torch.Tensor = run(lambda _: self._renderer.render(parameters))
+        return images
+
+    def exact(self) -> "Owned":
+        """The renderer without approximations."""
+        return Owned(run(lambda _: self._renderer.exact()))
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._renderer, name)
