@@ -14,7 +14,7 @@ from scene_attack.process import describe, device
 class Classifier:
     """A frozen image classifier on the configured device, differentiable if its network is; implements `Target`.
 
-    `mean` and `scale` define its input normalisation, (pixel − mean) / scale with pixels in [0,1].
+    `mean` and `std` define its input normalisation, (pixel − mean) / std with pixels in [0,1].
     """
 
     name: str
@@ -22,7 +22,7 @@ class Classifier:
     labels: tuple[str, ...]
     input_size: tuple[int, int]
     mean: tuple[float, float, float]
-    scale: tuple[float, float, float]
+    std: tuple[float, float, float]
     weights_sha256: str
     dtype: torch.dtype = torch.float32
     resize: Literal["bilinear", "bicubic"] = "bilinear"
@@ -41,7 +41,7 @@ class Classifier:
             if value.dim() == 4:
                 value.data = value.data.contiguous(memory_format=torch.channels_last)
         self._mean = torch.tensor(self.mean, dtype=self.dtype, device=self._device)
-        self._scale = torch.tensor(self.scale, dtype=self.dtype, device=self._device)
+        self._std = torch.tensor(self.std, dtype=self.dtype, device=self._device)
 
     @property
     def backend(self) -> str:
@@ -54,13 +54,13 @@ class Classifier:
         """Returns scores [B, K] of images [B, H, W, 3] in [0,1]; see `Target.logits`."""
         width = images.shape[2]
         # Normalised row by row: broadcasting over the three channels takes six times as long.
-        mean, scale = self._mean.repeat(width), self._scale.repeat(width)
-        x = (images.to(self._device, self.dtype).flatten(2) - mean).div_(scale)
+        mean, std = self._mean.repeat(width), self._std.repeat(width)
+        x = (images.to(self._device, self.dtype).flatten(2) - mean).div_(std)
         x = x.reshape(images.shape).permute(0, 3, 1, 2)
         if tuple(x.shape[-2:]) != self.input_size:
             x = F.interpolate(x, self.input_size, mode=self.resize, antialias=True)
             if self.resize == "bicubic":  # it overshoots at edges
-                low, high = (((bound - self._mean) / self._scale)[:, None, None] for bound in (0.0, 1.0))
+                low, high = (((bound - self._mean) / self._std)[:, None, None] for bound in (0.0, 1.0))
                 x = x.clamp(low, high)
         scores: Tensor = self.network(x.contiguous(memory_format=torch.channels_last))
         return scores.to(images.device, torch.promote_types(self.dtype, torch.float32))

@@ -114,7 +114,7 @@ def furniture_card(name: str, title: str) -> TargetInfo:
     )
 
 
-def _classifier(card: TargetInfo, network: nn.Module, weights: Path, mean: Triple, scale: Triple, dtype: Any) -> Target:
+def _classifier(card: TargetInfo, network: nn.Module, weights: Path, mean: Triple, std: Triple, dtype: Any) -> Target:
     """Returns the target of a network that has its weights from the file `weights`."""
     from scene_attack.targets.classifier import Classifier
 
@@ -126,7 +126,7 @@ def _classifier(card: TargetInfo, network: nn.Module, weights: Path, mean: Tripl
         labels=imagenet_labels() if card.vocabulary == "imagenet" else furniture_labels(card.name),
         input_size=card.input_size,
         mean=mean,
-        scale=scale,
+        std=std,
         weights_sha256=digest,
         dtype=dtype,
     )

@@ -98,7 +98,7 @@ def linear_network(
         labels=tuple(f"label {k}" for k in range(classes)),
         input_size=(SIDE, SIDE),
         mean=(0.5, 0.5, 0.5),
-        scale=(1.0, 1.0, 1.0),
+        std=(1.0, 1.0, 1.0),
         weights_sha256="0" * 64,
         dtype=dtype,
     )

@@ -60,7 +60,7 @@ def loaded(network: Callable[[Tensor], Any] | nn.Module, **changes: Any) -> Targ
     def load(dtype: torch.dtype) -> Target:
         module = network if isinstance(network, nn.Module) else Function(network)
         settings: dict[str, Any] = {"labels": LABELS, "input_size": SIZE, "dtype": dtype} | changes
-        return Classifier("mine", module, mean=(0.0,) * 3, scale=(1.0,) * 3, weights_sha256="0" * 64, **settings)
+        return Classifier("mine", module, mean=(0.0,) * 3, std=(1.0,) * 3, weights_sha256="0" * 64, **settings)
 
     add(lambda: registered, load, **card)
     return registry.load("mine")

@@ -137,7 +137,7 @@ def classifier(
         labels=labels,
         input_size=preprocessing.input_size,
         mean=preprocessing.mean,
-        scale=preprocessing.scale,
+        std=preprocessing.std,
         weights_sha256=weights_sha256,
         dtype=dtype,
         resize=preprocessing.resize,
@@ -265,7 +265,7 @@ def describe(name: str, target: Target, vocabulary: Vocabulary = "custom") -> Ta
 
     Its hash is that of all but the weights: labels, and of a `Classifier` the preprocessing.
     """
-    about = [getattr(target, part, None) for part in ("labels", "input_size", "mean", "scale", "resize")]
+    about = [getattr(target, part, None) for part in ("labels", "input_size", "mean", "std", "resize")]
     return TargetInfo(
         name=name,
         title=name,

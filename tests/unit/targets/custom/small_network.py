@@ -12,10 +12,10 @@ from torch import Tensor, nn
 
 SIZE = (32, 32)
 LABELS = ["red", "green", "blue", "grey", "none"]
-MEAN, SCALE = [0.45, 0.5, 0.4], [0.25, 0.2, 0.3]
+MEAN, STD = [0.45, 0.5, 0.4], [0.25, 0.2, 0.3]
 CARD: dict[str, Any] = {
     "labels": LABELS,
-    "preprocessing": {"input_size": list(SIZE), "mean": MEAN, "scale": SCALE},
+    "preprocessing": {"input_size": list(SIZE), "mean": MEAN, "std": STD},
     "licence": "CC0-1.0",
     "source": "a test",
 }

@@ -58,7 +58,7 @@ FOUND_AT_ONCE: dict[str, tuple[Callable[[Path], None], str]] = {
     "no labels": (card(labels=None), "card.json: labels: "),
     "a label that is no Unicode": (card(labels=["\ud800", "b"]), r"card.json: labels.0: .*not \"\\ud800\""),
     "a mean of two numbers": (card(preprocessing={"mean": [0, 0]}), "card.json: preprocessing.mean: "),
-    "a scale of 0": (card(preprocessing={"scale": [1, 0, 1]}), "card.json: preprocessing.scale.1: .* above 0"),
+    "a std of 0": (card(preprocessing={"std": [1, 0, 1]}), "card.json: preprocessing.std.1: .* above 0"),
     "labels in a file elsewhere": (card(labels="../labels.txt"), "card.json: labels: must be a list"),
     "labels in a file that is not there": (card(labels="labels.txt"), "labels.txt: there is no such file"),
     "two model files": (net("model.pt2", "model.onnx"), "model: it has model.pt2 and model.onnx; keep one"),

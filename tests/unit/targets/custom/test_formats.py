@@ -21,7 +21,7 @@ from scene_attack.targets.info import TARGETS
 from tests.unit.jobs.small import LIBRARY
 from tests.unit.targets.custom import small_network
 from tests.unit.targets.custom.conftest import Scan
-from tests.unit.targets.custom.small_network import LABELS, MEAN, SCALE, SIZE, WRITERS, folder, network
+from tests.unit.targets.custom.small_network import LABELS, MEAN, SIZE, STD, WRITERS, folder, network
 
 pytestmark = pytest.mark.slow
 
@@ -53,8 +53,8 @@ def reference(images: Tensor) -> Tensor:
     """Log-probabilities in float64, by the module itself and the preprocessing written out."""
     x = images.double().permute(0, 3, 1, 2)
     x = F.interpolate(x, SIZE, mode="bilinear", antialias=True)
-    mean, scale = (torch.tensor(of, dtype=torch.float64)[:, None, None] for of in (MEAN, SCALE))
-    return network().double()((x - mean) / scale).log_softmax(dim=1)
+    mean, std = (torch.tensor(of, dtype=torch.float64)[:, None, None] for of in (MEAN, STD))
+    return network().double()((x - mean) / std).log_softmax(dim=1)
 
 
 @pytest.fixture
@@ -115,7 +115,7 @@ def test_they_give_the_same_adversary(tmp_path: Path) -> None:
 @pytest.mark.usefixtures("formats")
 def test_a_module_that_is_passed_gives_it_too(tmp_path: Path) -> None:
     module = network().train()
-    preprocessing = {"input_size": SIZE, "mean": MEAN, "scale": SCALE}
+    preprocessing = {"input_size": SIZE, "mean": MEAN, "std": STD}
     target = sa.target(module, labels=LABELS, preprocessing=preprocessing, name="mine")
     result = sa.attack(SCENE, target, FGSM).record
     wanted = job("module", tmp_path)
@@ -127,7 +127,7 @@ def test_a_module_that_is_passed_gives_it_too(tmp_path: Path) -> None:
 
 @pytest.mark.usefixtures("formats")
 def test_a_module_without_labels_has_numbers(tmp_path: Path) -> None:
-    preprocessing = {"input_size": SIZE, "mean": MEAN, "scale": SCALE}
+    preprocessing = {"input_size": SIZE, "mean": MEAN, "std": STD}
     target = sa.target(network(), preprocessing=preprocessing, name="numbered")
     result = sa.attack(SCENE, target, FGSM, out=tmp_path / "out").record
     wanted = job("module", tmp_path)
@@ -187,12 +187,12 @@ def test_a_check_shows_what_it_is(name: str) -> None:
 @pytest.mark.parametrize("channels", ["rgb", "bgr"])
 @pytest.mark.parametrize("resize", ["bilinear", "bicubic"])
 def test_the_card_says_how_an_image_becomes_the_input(scan: Scan, tmp_path: Path, channels: str, resize: str) -> None:
-    about = {"input_size": SIZE, "mean": MEAN, "scale": SCALE, "channels": channels, "resize": resize}
+    about = {"input_size": SIZE, "mean": MEAN, "std": STD, "channels": channels, "resize": resize}
     WRITERS["model.pt2"](folder(tmp_path, "net", preprocessing=about) / "model.pt2")
     scan()
     images = torch.rand(2, 20, 24, 3, generator=torch.Generator().manual_seed(1))
     x = F.interpolate(images.double().permute(0, 3, 1, 2), SIZE, mode=resize, antialias=True).clamp(0, 1)
-    mean, scale = (torch.tensor(of, dtype=torch.float64)[:, None, None] for of in (MEAN, SCALE))
-    x = (x - mean) / scale
+    mean, std = (torch.tensor(of, dtype=torch.float64)[:, None, None] for of in (MEAN, STD))
+    x = (x - mean) / std
     wanted = network().double()(x.flip(1) if channels == "bgr" else x)
     torch.testing.assert_close(registry.load("net").logits(images).double(), wanted, rtol=0, atol=1e-4)
