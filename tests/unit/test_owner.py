@@ -73,6 +73,8 @@ def test_an_interrupted_attack_ends_and_the_next_one_runs() -> None:
     code = """
 import os, signal
 
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell may have started this test with SIGINT ignored
+
 def stop(progress):
     if progress.row is not None:
         os.kill(os.getpid(), signal.SIGINT)
