@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+import trimesh
 
 import scene_attack as sa
 from scene_attack.errors import InvalidRequest
@@ -103,6 +104,18 @@ def test_objects_are_what_a_request_says() -> None:
     asked = sa.attack(SCENE, target, {"renderer": "image", "method": "fgsm", "steps": 1}, seed=3)
     assert whole.record.spec == asked.record.spec
     assert whole.files["attacked.png"] == asked.files["attacked.png"]
+
+
+def test_a_mesh_may_be_a_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    trimesh.creation.capsule().export(tmp_path / "capsule.obj")
+    monkeypatch.chdir(tmp_path)
+    target = sa.target(network(), **SMALL)
+    shown = []
+    for mesh in (Path("capsule.obj"), tmp_path / "capsule.obj", "./capsule.obj"):
+        scene = sa.Scene(camera=sa.Camera(size=(32, 32)), objects=[sa.Object(mesh=mesh)])
+        shown.append(sa.attack(scene, target, sa.FGSM(renderer="image", steps=1)).files["original.png"])
+    assert shown[0] == shown[1] == shown[2]
+    assert sa.Object(mesh=Path("../a.obj")).mesh == "./../a.obj"
 
 
 def test_a_network_that_has_a_name_is_attacked_by_it() -> None:

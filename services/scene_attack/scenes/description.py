@@ -8,9 +8,10 @@ import operator
 from collections import Counter
 from collections.abc import Mapping
 from math import pi
+from pathlib import PurePath
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, ConfigDict, Field, ValidationInfo, field_validator
+from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, ValidationInfo, field_validator
 
 from scene_attack.strict import Strict, reference
 
@@ -77,10 +78,17 @@ class Camera(Model):
     )
 
 
+def _as_written(mesh: object) -> object:
+    """A path as a request writes it: one that is relative to a folder begins with "./"."""
+    if not isinstance(mesh, PurePath):
+        return mesh
+    return str(mesh) if mesh.is_absolute() else f"./{mesh}"
+
+
 class SceneObject(Model):
     """A mesh in the scene, with its surface and its pose."""
 
-    mesh: Annotated[str, reference("mesh")] = Field(
+    mesh: Annotated[str, reference("mesh"), BeforeValidator(_as_written)] = Field(
         min_length=1,
         max_length=200,
         description="`furniture/<slug>`, `primitive/<name>`, or the id of an uploaded mesh (`sha256:<hex>`)",
