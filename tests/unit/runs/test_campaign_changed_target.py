@@ -48,7 +48,7 @@ def networks(weights_of_two: str, bounds: tuple[float, float]) -> Iterator[None]
                 labels=("bright", "dark"),
                 input_size=(32, 32),
                 mean=(0.0, 0.0, 0.0),
-                scale=(1.0, 1.0, 1.0),
+                std=(1.0, 1.0, 1.0),
                 weights_sha256=weights,
                 dtype=torch.float32,
             )
