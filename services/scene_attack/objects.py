@@ -185,9 +185,7 @@ def load(folder: Path | str) -> Result:
     """
     from scene_attack.runs.replay import read_stored
 
-    stored = read_stored(Path(folder))
-    files = sorted(path for path in Path(folder).iterdir() if path.is_file())
-    return Result(stored.result, {path.name: path.read_bytes() for path in files})
+    return Result(read_stored(Path(folder)).result, _files(Path(folder)))
 
 
 def target(
@@ -257,8 +255,8 @@ def attack(
             if out is not None:
                 check_free(folder, spec, "out", network)
                 prepare_folder(folder, "out")
-            execute(spec, folder, local_library(chosen), progress=progress, cancelled=interrupted)
-            return load(folder)
+            record = execute(spec, folder, local_library(chosen), progress=progress, cancelled=interrupted)
+            return Result(record, _files(folder))
 
     return run(work)
 
@@ -293,6 +291,10 @@ def renderer(
 
     owned: Any = Owned(run(work))
     return owned  # type: ignore[no-any-return]
+
+
+def _files(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in sorted(folder.iterdir()) if path.is_file()}
 
 
 def _set_up(options: Options | None) -> Options:

@@ -3,9 +3,7 @@ its own parts, and how large a file may be. The defaults work on a laptop.
 """
 
 import os
-from collections.abc import Mapping
 from pathlib import Path
-from types import MappingProxyType
 from typing import Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
@@ -75,7 +73,12 @@ class Options(BaseModel):
     @field_validator("cache", "data", "targets", "kernel_dir")
     @classmethod
     def _has_a_home(cls, value: Path | None) -> Path | None:
-        return with_a_home(value)
+        try:
+            if value is not None:
+                value.expanduser()
+        except RuntimeError as error:
+            raise ValueError(f"{value}: there is no such user") from error
+        return value
 
     @property
     def cache_dir(self) -> Path:
@@ -123,22 +126,13 @@ class Options(BaseModel):
         return {f"{PREFIX}{name.upper()}": str(value) for name, value in values.items() if value is not None}
 
     @classmethod
-    def of_environment(cls, given: Mapping[str, object] = MappingProxyType({})) -> Self:
-        """The options of the environment's variables, SCENE_ATTACK_ and the option's name, with the `given` ones over
-        them. An empty variable is none. Raises pydantic.ValidationError.
+    def of_environment(cls) -> Self:
+        """The options of the environment's variables, SCENE_ATTACK_ and the option's name; an empty variable is none.
+
+        Raises pydantic.ValidationError.
         """
         variables = {name: os.environ.get(f"{PREFIX}{name.upper()}") for name in cls.model_fields}
-        return cls.model_validate({name: value for name, value in variables.items() if value} | dict(given))
-
-
-def with_a_home(path: Path | None) -> Path | None:
-    """Returns a path; raises ValueError if it begins with the home of a user who is not there (~nobody/…)."""
-    try:
-        if path is not None:
-            path.expanduser()
-    except RuntimeError as error:
-        raise ValueError(f"{path}: there is no such user") from error
-    return path
+        return cls.model_validate({name: value for name, value in variables.items() if value})
 
 
 def listed(text: str | None) -> frozenset[str]:

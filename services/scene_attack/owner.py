@@ -13,9 +13,8 @@ import torch
 from scene_attack.rendering.opengl import context
 
 Answer = TypeVar("Answer")
-_thread = ThreadPoolExecutor(1, "scene-attack")
-_ident: int | None = None
-_lock = threading.Lock()
+_here = threading.local()
+_thread = ThreadPoolExecutor(1, "scene-attack", initializer=lambda: setattr(_here, "owns", True))
 
 
 def run(work: Callable[[Callable[[], bool]], Answer]) -> Answer:
@@ -24,7 +23,7 @@ def run(work: Callable[[Callable[[], bool]], Answer]) -> Answer:
     `work` gets a function that says whether the caller has been interrupted, as by Ctrl-C: it then has to end, and is
     waited for. A program that has used OpenGL in this thread already, as a command does, works in it.
     """
-    if threading.get_ident() in (_owner_ident(), context.owner()):
+    if hasattr(_here, "owns") or context.owner() == threading.get_ident():
         return work(lambda: False)
     interrupted = threading.Event()
     gradients = torch.is_grad_enabled()
@@ -40,14 +39,6 @@ def run(work: Callable[[Callable[[], bool]], Answer]) -> Answer:
         interrupted.set()
         future.exception()
         raise
-
-
-def _owner_ident() -> int:
-    global _ident
-    with _lock:
-        if _ident is None:
-            _ident = _thread.submit(threading.get_ident).result()
-        return _ident
 
 
 class Owned:

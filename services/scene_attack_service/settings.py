@@ -5,12 +5,12 @@ A process or a command makes its `Settings()` once, where it begins, and passes 
 
 from collections.abc import Mapping
 
-from pydantic import Field, ValidationError, field_validator
+from pydantic import Field, field_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from scene_attack.addresses import host_mistake
 from scene_attack.options import PREFIX, Options, listed
-from scene_attack.runs.environment import invalid_options
+from scene_attack.runs.environment import read
 from scene_attack.text import did_you_mean
 
 COMMAND_LINE = ("SCENE_ATTACK_URL", "SCENE_ATTACK_KEY")
@@ -105,11 +105,7 @@ def read_settings(**given: object) -> Settings:
 
     Raises InvalidFields, which names each wrong option or variable.
     """
-    chosen = {name: value for name, value in given.items() if value is not None}
-    try:
-        return Settings(**chosen)  # type: ignore[arg-type]
-    except ValidationError as error:
-        raise invalid_options(error, chosen) from error
+    return read(lambda chosen: Settings(**chosen), given)  # type: ignore[arg-type]
 
 
 def unknown_variables(environ: Mapping[str, str]) -> dict[str, str]:

@@ -1,6 +1,7 @@
 """Options of the environment, as a command or a script reads them."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from typing import TypeVar
 
 from pydantic import ValidationError
 
@@ -8,29 +9,30 @@ from scene_attack.errors import InvalidFields, InvalidRequest
 from scene_attack.options import PREFIX, Options
 from scene_attack.runs.field_errors import in_words
 
+Chosen = TypeVar("Chosen", bound=Options)
 
-def read_options(**given: object) -> Options:
-    """The options of the environment, with the `given` ones over them; None stands for one that is left out, and so
-    does an empty variable.
 
-    Raises InvalidFields, which names each wrong option or variable.
+def read_options() -> Options:
+    """The options of the environment. Raises InvalidFields, which names each wrong variable."""
+    return read(lambda _: Options.of_environment(), {})
+
+
+def read(make: Callable[[dict[str, object]], Chosen], given: Mapping[str, object]) -> Chosen:
+    """What `make` makes of the `given` options and of the environment; None stands for an option left out.
+
+    Raises InvalidFields, which names each wrong value: one that is given as an option, --port, any other as a variable.
     """
     chosen = {name: value for name, value in given.items() if value is not None}
     try:
-        return Options.of_environment(chosen)
+        return make(chosen)
     except ValidationError as error:
-        raise invalid_options(error, chosen) from error
-
-
-def invalid_options(error: ValidationError, given: Mapping[str, object]) -> InvalidFields:
-    """The error that names each wrong value: one of the `given` as an option, --port, any other as a variable."""
-    return InvalidFields(
-        [
-            InvalidRequest(f"--{name}" if name in given else f"{PREFIX}{name.upper()}", in_words(wrong))
-            for wrong in error.errors()
-            for name in (str(wrong["loc"][0]),)
-        ]
-    )
+        wrong = [(str(item["loc"][0]), in_words(item)) for item in error.errors()]
+        raise InvalidFields(
+            [
+                InvalidRequest(f"--{name}" if name in chosen else f"{PREFIX}{name.upper()}", words)
+                for name, words in wrong
+            ]
+        ) from error
 
 
 def options_to_run() -> Options:
