@@ -7,22 +7,25 @@ RUN apt-get update \
     && rm -rf /var/lib/apt/lists/*
 
 WORKDIR /app
-# Packages, meshes and environment maps change seldom: they are layers of their own.
+# Packages change seldom: they are a layer of their own.
 COPY requirements.txt requirements-torch.txt pyproject.toml README.md LICENSE NOTICE ./
-COPY scripts/setup scripts/assets.sha256 scripts/
+COPY scripts/setup scripts/
 COPY services/scene_attack/__init__.py services/scene_attack/
 COPY services/scene_attack_service/__init__.py services/scene_attack_service/
 COPY services/scene_attack_questions/__init__.py services/scene_attack_questions/
 COPY services/scene_attack_accuracy/__init__.py services/scene_attack_accuracy/
 COPY api/scene_attack_api/__init__.py api/scene_attack_api/
 COPY worker/scene_attack_worker/__init__.py worker/scene_attack_worker/
-ENV SCENE_ATTACK_CACHE=/assets
-RUN scripts/setup && chmod -R a+rX /assets
+RUN scripts/setup
 # The kernels, for other machines than the one that builds. They lie outside of the cache, which is a volume: a new image
 # brings its own.
 COPY services services
-ENV SCENE_ATTACK_KERNEL_ARCH=portable \
+COPY api api
+COPY worker worker
+ENV SCENE_ATTACK_CACHE=/assets \
+    SCENE_ATTACK_KERNEL_ARCH=portable \
     SCENE_ATTACK_KERNEL_DIR=/kernels
+RUN .venv/bin/python -m scene_attack assets fetch && chmod -R a+rX /assets
 RUN .venv/bin/python -m scene_attack.rendering.kernels.build
 
 FROM debian:12-slim AS production

@@ -13,7 +13,7 @@ def assets(tmp_path_factory):
     for name in ("furniture", "environments"):
         source = Settings().cache_dir / name
         if not source.is_dir():
-            pytest.fail(f"there is no {source}; run scripts/setup first")
+            pytest.fail(f"there is no {source}; run `scene-attack assets fetch` first")
         (cache / name).symlink_to(source)
     return cache
 

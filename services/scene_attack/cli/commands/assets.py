@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from scene_attack.cli.commands.options import JsonOption, UrlOption
-from scene_attack.cli.console import FittedTable, print_found, print_json, remark, say
+from scene_attack.cli.console import FittedTable, err, print_found, print_json, remark, say
 from scene_attack.client import DEFAULT_URL
 
 app = typer.Typer(help="The meshes and environment maps that scenes are made of.", no_args_is_help=True)
@@ -35,6 +35,37 @@ def list_assets(
     shown = FittedTable(("mesh", "title", "category", "creator", "licence"), rows, spare=("category", "title"))
     print_found(entries, shown, as_json)
     remark(f"{len(rows)} mesh{'' if len(rows) == 1 else 'es'}")
+
+
+@app.command(
+    epilog="Examples: [bold]scene-attack assets fetch[/bold], where there is apt-get\n\n"
+    "[bold]scene-attack assets fetch --from sweethome3d-furniture_1.2.2-2_all.deb --from blender-data.deb[/bold]\n\n"
+    "[bold]scene-attack assets fetch --from /media/usb/scene-attack[/bold], a cache folder of another machine"
+)
+def fetch(
+    given: Annotated[
+        list[Path] | None,
+        typer.Option("--from", help="A Debian package, or a folder with packages or with the files themselves."),
+    ] = None,
+) -> None:
+    """Bring 800 more models of furniture and five more environment maps into the cache: 150 MB from Debian's archive.
+
+    Without it scenes have the ten models and three maps of the package. Files that are there are checked and kept, so
+    that the command may be run again at any time. It needs neither root nor Debian: elsewhere, give the two packages.
+    """
+    from scene_attack.runs.environment import read_options
+    from scene_attack.scenes.fetch import fetch as bring
+
+    cache = read_options().cache_dir
+    with err().status("the furniture library and the environment maps") as line:
+
+        def report(text: str) -> None:
+            line.update(text)
+            if not err().is_terminal:
+                remark(text)
+
+        brought = bring(cache, given or [], report)
+    remark(f"{len(brought)} files brought into {cache}" if brought else f"all files are in {cache}")
 
 
 @app.command(epilog="Example: [bold]scene-attack assets show furniture/grand-piano[/bold]")
