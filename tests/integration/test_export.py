@@ -156,7 +156,7 @@ def test_light_and_normals_of_a_torch_job(library: Library, tmp_path: Path) -> N
     assert scene["environment"] == "environment_after.exr"
     images = []
     for which in ("before", "after"):
-        radiance = environment.average(environment.read_exr(out / f"environment_{which}.exr", None).radiance, 8, 18)
+        radiance = environment.average(environment.read_file(out / f"environment_{which}.exr", None).radiance, 8, 18)
         normals = np.load(out / f"normals_{which}.npy")
         images.append(matte(radiance, normals, spec.scene.camera.azimuth, spec.scene.camera.elevation))
     covered = (np.load(out / "normals_before.npy") != 0).any(axis=-1)

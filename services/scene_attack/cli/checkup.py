@@ -101,15 +101,16 @@ def folder_finding(subject: str, folder: Path, setting: str, *, private: bool) -
 
 
 def meshes(options: Options) -> Iterator[Finding]:
-    """Whether the furniture library and the environment maps were fetched."""
-    from scene_attack.scenes.library import Library
+    """Whether the whole furniture library and all environment maps were fetched; the package has some of both."""
+    from scene_attack.scenes.fetch import missing
+    from scene_attack.scenes.library import FETCH, Library
 
     library = Library(options.cache_dir, options.data_dir)  # uploads, which a store may have, are not asked for
     furniture = sum(entry.kind == "furniture" for entry in library.entries())
     maps = len(library.environments()) - 1  # one is computed
-    level: Level = "ok" if furniture and maps else "warn"
+    level: Level = "warn" if missing(options.cache_dir) else "ok"
     text = f"{furniture} models of furniture, {maps} environment maps"
-    yield Finding("meshes", level, text, "" if level == "ok" else f"{SETUP}; until then scenes have primitives only")
+    yield Finding("meshes", level, text, "" if level == "ok" else FETCH)
 
 
 def additions(options: Options) -> Iterator[Finding]:

@@ -32,7 +32,7 @@ from scene_attack.scenes.exported_assets import write_assets
 from scene_attack.scenes.library import Library
 from scene_attack.scenes.resolve import ResolvedScene
 
-_COMPRESSED = (".png", ".jpg", ".exr", ".sh3f", ".zip")
+_COMPRESSED = (".png", ".jpg", ".exr", ".npz", ".sh3f", ".zip")
 
 
 @contextmanager

@@ -14,6 +14,10 @@ origin is the light's; between them is the ambient light, (1 + y/2) times as bri
 as the texels of the default map, so that sums over texels are near the integral: a point light would be a single
 texel, which moves by half its width when the map is made coarser.
 
+Maps are OpenEXR images (.exr), Radiance pictures (.hdr), or half floats in an archive of numpy (.npz, an array
+`pixels`). The maps of the package are of the last kind: OpenEXR is no part of a plain installation, and a Radiance
+picture has 8 bits for a value where these have 11, so that a scene would be lit by other values than the published.
+
 Uploaded maps are not trusted, and are read in a confined process (`scene_attack.scenes.reading.process`). A Radiance
 picture (.hdr) has rows of red, green and blue mantissas with a common exponent, run-length encoded: Greg Ward, "Real
 Pixels", Graphics Gems II, 1991; the format is described in Radiance's `filefmts.pdf`.
@@ -21,18 +25,18 @@ Pixels", Graphics Gems II, 1991; the format is described in Radiance's `filefmts
 
 import hashlib
 import re
+import zipfile
 from dataclasses import dataclass
 from io import BytesIO
 from math import cos, exp, pi
 from pathlib import Path
 from typing import Any
 
-import Imath
 import numpy as np
-import OpenEXR
 from numpy.typing import NDArray
 
 from scene_attack.errors import DAMAGED, InvalidRequest, JobFailure, Unreadable, shortened
+from scene_attack.extras import MissingExtra, extra
 from scene_attack.scenes.description import Lights
 from scene_attack.scenes.mesh import Doubles, Floats
 
@@ -42,7 +46,7 @@ class EnvironmentMap:
     """An environment map.
 
     radiance: linear RGB, float32 [rows, cols, 3], finite, ≥ 0, in this project's directions. sha256: the hex digest of
-    the file. credit: the attribution line, or None.
+    the file, of a map of the package that of the published OpenEXR file. credit: the attribution line, or None.
     """
 
     name: str
@@ -51,17 +55,56 @@ class EnvironmentMap:
     credit: str | None
 
 
-def read_exr(path: Path, credit: str | None) -> EnvironmentMap:
-    """Reads a map from an equirectangular OpenEXR image.
+FILE_KINDS = (".npz", ".exr", ".hdr")
+"""Endings of the files that `read_file` reads."""
+PUBLISHED = {
+    "8fdf60d9adeb767b22f4ae4023549677": "70940108df90c0721799d29f758ca79e67e509d9a2636487e639db7779561524",
+    "b9e294132d5a95ef657943f00e2725e0": "4f6810b182ade346eac6964bf02405adf430c321b8853a644316af4e05d0fdb5",
+    "f8e344e960b0a8fbb56073aa5554804d": "e501dd8a1172bd0e03903ede7f452300f8368448fe74720600338304d79281d9",
+}
+"""Half the SHA-256 of the pixels of city, interior and studio in the package, and the SHA-256 of the OpenEXR file that
+each was read from. So a map is the same map from either file, and so is the digest of a scene that it lights."""
 
-    Raises JobFailure("asset-missing") if the file cannot be read or has no colours, and the errors of `radiance_of`.
+
+def read_file(path: Path, credit: str | None) -> EnvironmentMap:
+    """Reads a map from an equirectangular image, whose kind is the file's ending (`FILE_KINDS`).
+
+    Raises JobFailure("asset-missing") if the file cannot be read or has no colours, the errors of `radiance_of`, and
+    MissingExtra for OpenEXR where it is not installed.
     """
     try:
         data = path.read_bytes()
-        pixels = _read_exr(data)
+        digest = hashlib.sha256(data).hexdigest()
+        if path.suffix == ".npz":
+            pixels = _read_npz(data)
+            digest = PUBLISHED.get(hashlib.sha256(pixels.tobytes()).hexdigest()[:32], digest)
+        elif path.suffix == ".hdr":
+            pixels = read_hdr(data, MAX_TEXELS)
+        else:
+            pixels = _read_exr(data)
+    except MissingExtra:
+        raise
     except (OSError, RuntimeError, ValueError) as error:
         raise JobFailure("asset-missing", f"cannot read the environment map {path.name}: {error}") from error
-    return EnvironmentMap(path.stem, radiance_of(pixels), hashlib.sha256(data).hexdigest(), credit)
+    return EnvironmentMap(path.stem, radiance_of(pixels), digest, credit)
+
+
+def write_npz(pixels: NDArray[np.float16]) -> bytes:
+    """Returns a map's pixels [h,w,3], of which the file's top row is the first, as a .npz file."""
+    file = BytesIO()
+    np.savez_compressed(file, pixels=pixels)
+    return file.getvalue()
+
+
+def _read_npz(data: bytes) -> NDArray[Any]:
+    try:
+        with np.load(BytesIO(data), allow_pickle=False) as arrays:
+            pixels: NDArray[Any] = arrays["pixels"]
+    except (KeyError, AttributeError, EOFError, zipfile.BadZipFile) as error:  # numpy returns an array for a .npy file
+        raise Unreadable("it is no archive of numpy with an array `pixels`") from error
+    if pixels.dtype != np.float16 or pixels.ndim != 3 or pixels.shape[2] != 3 or not 0 < pixels.size <= 3 * MAX_TEXELS:
+        raise Unreadable(f"its pixels are {pixels.dtype} {list(pixels.shape)}, not float16 [height, width, 3]")
+    return pixels
 
 
 def uniform() -> EnvironmentMap:
@@ -265,12 +308,12 @@ MAX_ROWS = 1024
 def read_map(data: bytes, kind: str) -> Floats:
     """Returns the texels of an equirectangular map, linear RGB, float32 [h,w,3] with at most MAX_ROWS rows.
 
-    `kind` is hdr or exr. Raises InvalidRequest("file", …) if the bytes are no such image, or if it has more than
-    MAX_TEXELS texels, or texels that are negative or not finite.
+    `kind` is hdr or exr. Raises MissingExtra for exr without OpenEXR, and InvalidRequest("file", …) if the bytes are no
+    such image, or if it has more than MAX_TEXELS texels, or texels that are negative or not finite.
     """
     try:
         texels = read_hdr(data, MAX_TEXELS) if kind == "hdr" else _read_exr(data)
-    except MemoryError:
+    except (MemoryError, MissingExtra):
         raise
     except Exception as error:  # OpenEXR raises many types of exceptions
         message = shortened(error) if isinstance(error, Unreadable) else DAMAGED
@@ -286,6 +329,10 @@ def read_map(data: bytes, kind: str) -> Floats:
 
 
 def _read_exr(data: bytes) -> Floats:
+    with extra("formats", "an OpenEXR image (.exr)"):
+        import Imath
+        import OpenEXR
+
     file = OpenEXR.InputFile(BytesIO(data))
     try:
         header = file.header()

@@ -1,7 +1,7 @@
 """The meshes and the map of a scene as files of an export, and the library that they make on another machine.
 
-`furniture/<slug>.sh3f` is a furniture library of one model, and `environments/<name>.exr` a map, as in the cache.
-`uploads/<sha256>/` has the files of an upload as they were sent, `uploads/<sha256>.json` what was said of it.
+`furniture/<slug>.sh3f` is a furniture library of one model, and a file of `environments` a map, as in the cache or the
+package. `uploads/<sha256>/` has the files of an upload as they were sent, `uploads/<sha256>.json` what was said of it.
 """
 
 import shutil
@@ -41,8 +41,8 @@ def write_assets(scene: Scene, library: Library, write: Callable[[str, bytes], N
         slug = name.partition("/")[2]
         if (archive := library.furniture_archive(name)) is not None:
             write(f"{ASSETS}/furniture/{slug}.sh3f", archive)
-        elif (texels := library.map_file(name)) is not None:
-            write(f"{ASSETS}/environments/{name}.exr", texels)
+        elif (file := library.map_file(name)) is not None:
+            write(f"{ASSETS}/environments/{file.name}", file.read_bytes())
         elif (bundle := library.upload(name)) is not None:
             files, place = bundle.files(), f"{ASSETS}/uploads/{bundle.sha256}"
             sent = _Sent(kind=bundle.kind, mesh=next(iter(files)), about=bundle.about)
@@ -61,7 +61,7 @@ def exported_library(export: Path, limits: Options) -> Iterator[Library]:
         place = Path(scratch) / ASSETS
         check_plain(export / ASSETS, max_unpacked(limits))
         shutil.copytree(export / ASSETS, place)
-        library = Library(place, place / "data")
+        library = Library(place, place / "data", packaged=False)
         for file in sorted((place / "uploads").glob("*.json")):
             _add_again(file, library, limits)
         yield library

@@ -83,6 +83,9 @@ def _unescape(text: str) -> str:
 
 
 CATALOGUE = "PluginFurnitureCatalog.properties"
+ICON = "icon.png"
+"""Name of a model's picture in an archive of one model."""
+FETCH = "run `scene-attack assets fetch`"
 IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 
 
@@ -90,8 +93,8 @@ class Model(BaseModel):
     """A model of a furniture library.
 
     `size` is width (x), depth (z), height (y) in centimetres. `rotation` is the 3×3 matrix, row by row,
-    that turns the model upright and its front towards +z. `path` is the OBJ file inside the archive, `icon` the PNG
-    file of its picture, if it has one.
+    that turns the model upright and its front towards +z. `archive` is the library's file, `path` the OBJ file inside
+    it, `icon` the PNG file of its picture, if it has one.
     """
 
     model_config = ConfigDict(frozen=True)
@@ -103,7 +106,7 @@ class Model(BaseModel):
     creator: str
     licence: str
     library: str
-    archive: str
+    archive: Path
     path: str
     size: tuple[float, float, float]
     rotation: tuple[float, ...]
@@ -150,7 +153,7 @@ def read_archive(path: Path) -> list[Model]:
                 creator=values.get(f"creator#{number}", "").strip() or library,
                 licence=licence,
                 library=library,
-                archive=path.name,
+                archive=path,
                 path=model,
                 size=(size[0], size[1], size[2]),
                 rotation=_rotation(values.get(f"modelRotation#{number}", "")),
@@ -207,13 +210,13 @@ def _rotation(text: str) -> tuple[float, ...]:
     return values if len(values) == 9 else IDENTITY
 
 
-def load_model(model: Model, furniture: Path, cache: Path) -> Mesh:
+def load_model(model: Model, cache: Path) -> Mesh:
     """Returns the mesh of a catalogue model.
 
-    `furniture` is the directory of the archives, `cache` that of processed meshes. The mesh's sha256 covers the model's
-    size and rotation and every file it uses. Raises JobFailure("asset-missing") if the archive is missing or damaged.
+    `cache` is the directory of processed meshes. The mesh's sha256 covers the model's size and rotation and every file
+    it uses. Raises JobFailure("asset-missing") if the archive is missing or damaged.
     """
-    files = _read(model, furniture)
+    files = _read(model)
     digest = _digest(model, files)
     kept = mesh_path(cache, digest)
     parts = load_parts(kept)
@@ -226,8 +229,10 @@ def load_model(model: Model, furniture: Path, cache: Path) -> Mesh:
     return Mesh(parts=parts, sha256=digest, credit=model.credit, centimetres=_centimetres(model, parts))
 
 
-def archive_of(model: Model, furniture: Path) -> bytes:
+def archive_of(model: Model) -> bytes:
     """Returns a furniture library, a `*.sh3f` file, of one model under the slug that it has in the whole library.
+
+    It has the model's picture, if there is one.
 
     Raises JobFailure("asset-missing") if the archive is missing or damaged.
     """
@@ -247,19 +252,21 @@ def archive_of(model: Model, furniture: Path) -> bytes:
         "modelRotation#1": " ".join(map(repr, model.rotation)),
     }
     folder, buffer = posixpath.dirname(model.path), BytesIO()
-    files = {f"{folder}/{name}": data for name, data in _read(model, furniture).items()}
+    files = {f"{folder}/{name}": data for name, data in _read(model).items()}
+    if (icon := read_icon(model)) is not None:
+        values["icon#1"], files[ICON] = f"/{ICON}", icon
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, data in ((CATALOGUE, write_properties(values)), *files.items()):
             archive.writestr(zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0)), data, zipfile.ZIP_DEFLATED)
     return buffer.getvalue()
 
 
-def read_icon(model: Model, furniture: Path) -> bytes | None:
+def read_icon(model: Model) -> bytes | None:
     """Returns the PNG file of the picture that the archive has of the model; None if it has none that can be read."""
     if model.icon is None:
         return None
     try:
-        with zipfile.ZipFile(furniture / model.archive) as archive:
+        with zipfile.ZipFile(model.archive) as archive:
             data = archive.read(model.icon)
     except (OSError, KeyError, zipfile.BadZipFile):
         return None
@@ -290,13 +297,13 @@ def _centimetres(model: Model, parts: tuple[Part, ...]) -> float:
     return float((width, height, depth)[longest] / extent[longest])
 
 
-def _read(model: Model, furniture: Path) -> dict[str, bytes]:
+def _read(model: Model) -> dict[str, bytes]:
     """Returns the files of a model. Raises JobFailure("asset-missing") if its archive is missing or damaged."""
     try:
-        with zipfile.ZipFile(furniture / model.archive) as archive:
+        with zipfile.ZipFile(model.archive) as archive:
             return _files(archive, model.path)
     except (OSError, KeyError, zipfile.BadZipFile) as error:
-        raise JobFailure("asset-missing", f"cannot read {model.archive}: {error}; run scripts/setup again") from error
+        raise JobFailure("asset-missing", f"cannot read {model.archive.name}: {error}; {FETCH} again") from error
 
 
 def _files(archive: zipfile.ZipFile, path: str) -> dict[str, bytes]:

@@ -14,7 +14,7 @@ from scene_attack.errors import InvalidRequest
 from scene_attack.options import DEFAULTS, Options
 from scene_attack.scenes import environment
 from scene_attack.scenes.bundle import Bundle
-from scene_attack.scenes.environment import EnvironmentMap, read_exr, uniform
+from scene_attack.scenes.environment import FILE_KINDS, EnvironmentMap, read_file, uniform
 from scene_attack.scenes.furniture import Model, archive_of, load_model, read_catalogue, read_icon
 from scene_attack.scenes.mesh import Mesh
 from scene_attack.scenes.primitives import PRIMITIVES, primitive
@@ -40,8 +40,10 @@ class Entry(BaseModel):
     notes: tuple[str, ...] = Field((), description="what it does not show of them, and what files are missing")
 
 
-FETCHED = ("city", "courtyard", "forest", "interior", "night", "studio", "sunrise", "sunset")
-"""The environment maps that scripts/setup fetches."""
+BY_GREG_ZAAL = ("city", "courtyard", "forest", "interior", "night", "studio", "sunrise", "sunset")
+"""The environment maps that `assets fetch` brings; three of them are in the package."""
+PACKAGED = Path(__file__).with_name("assets")
+"""The assets of every installation: `furniture/<slug>.sh3f`, libraries of one model, and `environments/<name>.npz`."""
 
 
 def own_entry(name: str, kind: Literal["primitive", "environment"]) -> Entry:
@@ -87,17 +89,17 @@ def upload_entry(record: Upload) -> Entry:
 
 
 def environment_entry(name: str) -> Entry:
-    """The entry of a map in the folder of maps. The creator of a map that the set-up did not fetch is unknown."""
-    fetched = name in FETCHED
+    """The entry of a map in the folder of maps. The creator of a map that the user put there is unknown."""
+    known = name in BY_GREG_ZAAL
     return Entry(
         name=name,
         title=name.capitalize(),
         kind="environment",
         category="environment",
-        creator="Greg Zaal" if fetched else "unknown",
-        licence="CC0 1.0" if fetched else "unknown",
+        creator="Greg Zaal" if known else "unknown",
+        licence="CC0 1.0" if known else "unknown",
         credit=f"Environment map “{name}” by Greg Zaal, CC0 1.0, HDRI Haven (hdrihaven.com), as shipped with Blender"
-        if fetched
+        if known
         else None,
     )
 
@@ -105,7 +107,7 @@ def environment_entry(name: str) -> Entry:
 KEPT_MESHES = 32
 """Number of recently used meshes kept in memory; a large mesh takes about 30 MB."""
 _UPLOAD = re.compile(r"sha256:([0-9a-f]{64})")
-SETUP = "run scripts/setup to fetch the furniture library and the environment maps"
+FETCH = "`scene-attack assets fetch` brings 800 more models and five more maps"
 NAMES = (
     "; a mesh is furniture/<slug>, primitive/<name>, or the sha256:<64 hex digits> that the upload of a file answered; "
     "GET /v1/scenes and `scene-attack assets list` list all of them"
@@ -114,26 +116,28 @@ NAMES = (
 
 
 class Library:
-    """The assets of an installation: cache_dir holds the files that scripts/setup fetched, `files` (`settings.files`)
-    those of users.
+    """The assets of an installation: those of the package, in cache_dir those that `assets fetch` brought, in `files`
+    (`settings.files`) those of users. A name means the package's asset first; the fetched one is the same. Without
+    `packaged` there are the others alone: an export is read with nothing but its own files.
 
     Safe to share between threads. Two Libraries on the same places see the same assets, so that another process is
     given the places alone.
     """
 
-    def __init__(self, cache_dir: Path, files: Path | str) -> None:
-        self._places = cache_dir, files
+    def __init__(self, cache_dir: Path, files: Path | str, packaged: bool = True) -> None:
+        self._places = cache_dir, files, packaged
         self._furniture = cache_dir / "furniture"
-        self._environments = cache_dir / "environments"
+        self._environments = [cache_dir / "environments", *([PACKAGED / "environments"] if packaged else [])]
         self._processed = cache_dir / "meshes"
         self._uploads = Uploads(blobs(files, "assets"), self._processed)
         self._lock = threading.RLock()
-        self._models: dict[str, Model] | None = None
+        self._packaged = read_catalogue(PACKAGED / "furniture") if packaged else {}
+        self._models: dict[str, Model] = {}
         self._shipped_entries: list[Entry] = []
         self._meshes: OrderedDict[str, Mesh] = OrderedDict()
         self._maps: dict[str, EnvironmentMap] = {}
 
-    def __reduce__(self) -> tuple[type["Library"], tuple[Path, Path | str]]:
+    def __reduce__(self) -> tuple[type["Library"], tuple[Path, Path | str, bool]]:
         return type(self), self._places
 
     def mesh(self, name: str) -> Mesh:
@@ -172,10 +176,8 @@ class Library:
             if record is None or not is_map(record.kind):
                 raise InvalidRequest("environment", f"there is no environment map {name!r}")
         elif name != environment.LIGHTS and not (known := {item.name: item for item in self.environments()}).get(name):
-            hint = "" if len(known) > 1 else f"; {SETUP}"
-            raise InvalidRequest(
-                "environment", f"there is no environment map {name!r}{did_you_mean(name, known)}{hint}"
-            )
+            hint = f"; {FETCH}" if name in BY_GREG_ZAAL else did_you_mean(name, known)
+            raise InvalidRequest("environment", f"there is no environment map {name!r}{hint}")
 
     def has_upload(self, name: str) -> bool:
         """Whether there is an uploaded mesh of that name, `sha256:<hex>`."""
@@ -197,12 +199,11 @@ class Library:
     def furniture_archive(self, name: str) -> bytes | None:
         """Returns a furniture library of one model, `furniture/<slug>`; None for another name."""
         model = self._model(name)
-        return None if model is None else archive_of(model, self._furniture)
+        return None if model is None else archive_of(model)
 
-    def map_file(self, name: str) -> bytes | None:
-        """Returns the OpenEXR file of an environment map; None for `uniform`, for an upload, and for an unknown one."""
-        known = {entry.name for entry in self.environments()} - {UNIFORM.name}
-        return (self._environments / f"{name}.exr").read_bytes() if name in known else None
+    def map_file(self, name: str) -> Path | None:
+        """Returns the file of an environment map; None for `uniform`, for an upload, and for an unknown one."""
+        return self._map_files().get(name)
 
     def remove_upload(self, name: str) -> None:
         """Removes the files of an uploaded mesh, if there are any. Other processes may keep it in memory."""
@@ -247,7 +248,7 @@ class Library:
     def picture(self, name: str) -> bytes | None:
         """Returns the PNG file of the picture that a furniture library has of a mesh, `furniture/<slug>`; else None."""
         model = self._model(name)
-        return None if model is None else read_icon(model, self._furniture)
+        return None if model is None else read_icon(model)
 
     def thumbnail(self, name: str) -> bytes | None:
         """Returns the thumbnail of an upload, a PNG file; None if none was kept yet."""
@@ -280,14 +281,18 @@ class Library:
         with self._lock:
             if name not in self._maps:
                 self.check_map(name)
-                path, credit = self._environments / f"{name}.exr", environment_entry(name).credit
-                self._maps[name] = uniform() if name == "uniform" else read_exr(path, credit)
+                path, credit = self._map_files().get(name), environment_entry(name).credit
+                self._maps[name] = uniform() if path is None else read_file(path, credit)
             return self._maps[name]
 
     def environments(self) -> list[Entry]:
         """Lists the environment maps by name; `uniform`, radiance 1 in every direction, is always among them."""
-        maps = [environment_entry(path.stem) for path in self._environments.glob("*.exr")]
-        return sorted([*(entry for entry in maps if entry.name != "uniform"), UNIFORM], key=lambda entry: entry.name)
+        return sorted([*map(environment_entry, self._map_files()), UNIFORM], key=lambda entry: entry.name)
+
+    def _map_files(self) -> dict[str, Path]:
+        """The files of all environment maps by name, the package's last: it replaces a fetched one of its name."""
+        files = [path for folder in self._environments for path in folder.glob("*") if path.suffix in FILE_KINDS]
+        return {path.stem: path for path in files if path.stem != UNIFORM.name}
 
     def _record(self, name: str) -> Upload | None:
         """The metadata of an upload, `sha256:<hex>`; None for another name, and for one that is not there."""
@@ -303,16 +308,16 @@ class Library:
                 raise InvalidRequest("mesh", f"{name!r} is an environment map, for lights.environment.map")
             return self._uploads.load(upload)
         if (model := self._model(name)) is not None:
-            return load_model(model, self._furniture, self._processed)
+            return load_model(model, self._processed)
         raise self._unknown_mesh(name)
 
     def _unknown_mesh(self, name: str) -> InvalidRequest:
         """The error for a name that is none. It suggests no upload, which may be somebody else's."""
-        if name.startswith("furniture/") and not self._catalogue():
-            return InvalidRequest("mesh", f"there is no furniture in {self._furniture}; {SETUP}")
         known = [entry.name for entry in self._shipped()]
         same = [other for other in known if other.rpartition("/")[2] == name.lower()]  # without its folder
         hint = f"; did you mean {same[0]!r}?" if same else did_you_mean(name, known)
+        if name.startswith("furniture/") and not self._fetched():
+            hint += f"; {FETCH}"
         return InvalidRequest("mesh", f"there is no mesh {name!r}{hint or NAMES}")
 
     def _model(self, name: str) -> Model | None:
@@ -321,18 +326,21 @@ class Library:
         return self._catalogue().get(slug) if kind == "furniture" else None
 
     def _catalogue(self) -> dict[str, Model]:
+        return self._fetched() | self._packaged
+
+    def _fetched(self) -> dict[str, Model]:
         with self._lock:
-            # Read an empty catalogue again each time: the set-up may still be running.
+            # Read an empty catalogue again each time: another process may be fetching it.
             if not self._models:
                 self._models = read_catalogue(self._furniture)
             return self._models
 
     def _shipped(self) -> list[Entry]:
         """The furniture and the primitives. They are kept: to make them anew takes longer than all else of a list."""
-        models = self._catalogue()
         with self._lock:
-            if not models or not self._shipped_entries:
-                furniture = sorted(map(furniture_entry, models.values()), key=lambda entry: entry.name)
+            if not self._fetched() or not self._shipped_entries:
+                models = self._catalogue().values()
+                furniture = sorted(map(furniture_entry, models), key=lambda entry: entry.name)
                 solids = [own_entry(f"primitive/{name}", "primitive") for name in sorted(PRIMITIVES)]
                 self._shipped_entries = [*furniture, *solids]
             return self._shipped_entries

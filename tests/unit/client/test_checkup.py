@@ -142,7 +142,7 @@ def test_a_variable_that_is_no_setting_is_named(tmp_path: Path, monkeypatch: pyt
 
 def test_meshes_that_were_not_fetched(tmp_path: Path) -> None:
     found = only(list(checkup.meshes(settings(tmp_path))))
-    assert (found.level, "scripts/setup" in found.remedy) == ("warn", True)
+    assert (found.level, "assets fetch" in found.remedy) == ("warn", True)
 
 
 def test_drivers_that_hang_are_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,7 +7,7 @@ import torch
 
 from scene_attack.export.parameters import equirectangular, parameter_table, write_exr
 from scene_attack.scenes.description import DirectionalLight, Lights, PointLight
-from scene_attack.scenes.environment import average, from_image, read_exr
+from scene_attack.scenes.environment import average, from_image, read_file
 from tests.unit.rendering.shapes import mesh, placed, quad, scene
 
 LIGHTS = Lights(points=(PointLight(energy=12),), directional=(DirectionalLight(energy=6, direction=(0, -2, 0)),))
@@ -45,7 +45,7 @@ def test_groups_of_many_values_name_their_files() -> None:
 def test_a_map_comes_back_with_every_bit(tmp_path, rows: int, cols: int) -> None:
     radiance = np.random.default_rng(0).gamma(0.5, 9, (rows, cols, 3)).astype(np.float32)
     write_exr(radiance, tmp_path / "map.exr", "a map")
-    read = read_exr(tmp_path / "map.exr", None).radiance
+    read = read_file(tmp_path / "map.exr", None).radiance
     wide = read.shape[1] // cols
     assert wide == (1 if cols % 4 == 0 else 4)
     assert np.array_equal(read[:, ::wide], radiance)

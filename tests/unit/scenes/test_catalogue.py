@@ -2,6 +2,7 @@
 
 import zipfile
 from collections import Counter
+from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -129,7 +130,7 @@ def test_slugs_are_unique_plain_and_depend_on_what_came_before_only(pairs):
             creator="c",
             licence="l",
             library="Lib",
-            archive="a",
+            archive=Path("a"),
             path="p",
             size=(1, 1, 1),
             rotation=IDENTITY,

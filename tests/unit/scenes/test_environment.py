@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from scene_attack.errors import InvalidRequest, JobFailure
-from scene_attack.scenes.environment import average, from_image, read_exr, uniform
+from scene_attack.scenes.environment import average, from_image, read_file, uniform
 
 
 def direction(row, column, rows, cols):
@@ -117,7 +117,7 @@ def test_negative_light_becomes_none(tmp_path):
     pixels = np.ones((4, 8, 3), np.float32)
     pixels[0, 0] = -1
     write(tmp_path / "a.exr", pixels)
-    found = read_exr(tmp_path / "a.exr", None)
+    found = read_file(tmp_path / "a.exr", None)
     assert found.radiance.dtype == np.float32
     assert (found.radiance[0] == 0).all(axis=1).sum() == 1
     assert (found.radiance[1:] == 1).all()
@@ -130,13 +130,13 @@ def test_light_that_is_no_number_is_refused(tmp_path, value):
     pixels[0, 1, 2], pixels[3, 3] = value, value
     write(tmp_path / "a.exr", pixels)
     with pytest.raises(InvalidRequest, match="2 of its texels are not finite") as refused:
-        read_exr(tmp_path / "a.exr", None)
+        read_file(tmp_path / "a.exr", None)
     assert refused.value.field == "environment"
 
 
 def test_alpha_and_half_floats_are_read(tmp_path):
     write(tmp_path / "a.exr", np.full((2, 4, 4), 0.25, np.float16), "RGBA")
-    assert read_exr(tmp_path / "a.exr", None).radiance.tolist() == np.full((2, 4, 3), 0.25).tolist()
+    assert read_file(tmp_path / "a.exr", None).radiance.tolist() == np.full((2, 4, 3), 0.25).tolist()
 
 
 @pytest.mark.parametrize("data", [None, b"", b"not an image", b"v/1\x01garbage"])
@@ -144,7 +144,7 @@ def test_an_unreadable_file_is_a_missing_asset(tmp_path, data):
     if data is not None:
         (tmp_path / "a.exr").write_bytes(data)
     with pytest.raises(JobFailure, match=r"asset-missing.*a\.exr"):
-        read_exr(tmp_path / "a.exr", None)
+        read_file(tmp_path / "a.exr", None)
 
 
 def test_uniform_is_one_everywhere():

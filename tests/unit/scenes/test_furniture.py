@@ -2,6 +2,7 @@
 
 import zipfile
 from io import BytesIO
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -45,7 +46,7 @@ def model(**changes):
         "creator": "Ann",
         "licence": "CC0 1.0",
         "library": "T",
-        "archive": "t.sh3f",
+        "archive": Path("t.sh3f"),
         "path": "m/box/box.obj",
         "size": (2.0, 6.0, 4.0),
         "rotation": IDENTITY,
@@ -63,7 +64,7 @@ def make(tmp_path, mtl="newmtl side\nKd 1 0 0\nnewmtl front\nKd 0 1 0\n", obj=BO
 
 
 def load(tmp_path, **changes):
-    return load_model(model(**changes), tmp_path, tmp_path / "cache")
+    return load_model(model(archive=tmp_path / "t.sh3f", **changes), tmp_path / "cache")
 
 
 def front(mesh):
@@ -227,7 +228,7 @@ def test_a_damaged_archive_is_a_missing_asset(tmp_path, damage):
         (tmp_path / "t.sh3f").unlink()
     if damage == "no zip":
         (tmp_path / "t.sh3f").write_bytes(b"PK nothing")
-    with pytest.raises(JobFailure, match=r"asset-missing.*scripts/setup"):
+    with pytest.raises(JobFailure, match=r"asset-missing.*assets fetch"):
         load(tmp_path, **({"path": "m/box/other.obj"} if damage == "no model" else {}))
 
 

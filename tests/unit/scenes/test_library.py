@@ -1,12 +1,14 @@
 """The library: names, close matches, filters, environment maps, and an installation without assets."""
 
+import pickle
+
 import numpy as np
 import pytest
 
 from scene_attack.errors import InvalidRequest
 from scene_attack.scenes.bundle import About, Bundle
 from scene_attack.scenes.environment import average
-from scene_attack.scenes.library import Library
+from scene_attack.scenes.library import PACKAGED, Library
 from scene_attack.scenes.primitives import PRIMITIVES
 
 TETRAHEDRON = b"OFF\n4 4 6\n0 0 0\n1 0 0\n0 1 0\n0 0 1\n3 0 2 1\n3 0 1 3\n3 0 3 2\n3 1 2 3\n"
@@ -41,15 +43,56 @@ def test_a_name_that_is_close_to_none_is_answered_by_how_meshes_are_named(librar
         library.mesh(name)
 
 
-def test_without_the_catalogue_it_says_what_to_run(tmp_path):
+MODELS = 10
+MAPS = ["city", "interior", "studio", "uniform"]
+
+
+def test_a_plain_installation_has_the_assets_of_the_package_and_says_how_to_get_the_others(tmp_path):
     bare = Library(tmp_path / "cache", tmp_path / "data")
-    with pytest.raises(InvalidRequest, match=r"there is no furniture in .*scripts/setup"):
-        bare.mesh("furniture/grand-piano")
-    with pytest.raises(InvalidRequest, match=r"no environment map 'studio'.*scripts/setup"):
-        bare.environment("studio")
+    for name in ("sofa3", "grand-pianoo"):
+        with pytest.raises(InvalidRequest, match=r"there is no mesh .*`scene-attack assets fetch` brings"):
+            bare.mesh(f"furniture/{name}")
+    with pytest.raises(InvalidRequest, match=r"no environment map 'courtyard'.*`scene-attack assets fetch` brings"):
+        bare.environment("courtyard")
+    assert [entry.kind for entry in bare.entries()].count("furniture") == MODELS
+    assert [entry.name for entry in bare.environments()] == MAPS
+    assert bare.mesh("furniture/grand-piano").triangles > 1000
+    assert bare.picture("furniture/grand-piano") is not None
+
+
+def test_the_assets_of_the_package_are_those_that_are_fetched(assets, tmp_path):
+    packaged = Library(tmp_path / "nothing", tmp_path / "data")
+    fetched = Library(assets, tmp_path / "data", packaged=False)
+    for entry in packaged.entries():
+        assert fetched.entry(entry.name) == entry
+        assert fetched.mesh(entry.name).sha256 == packaged.mesh(entry.name).sha256
+        assert fetched.picture(entry.name) == packaged.picture(entry.name)
+    for name in MAPS:
+        one, other = packaged.environment(name), fetched.environment(name)
+        assert one.radiance.tobytes() == other.radiance.tobytes()
+        assert (one.name, one.sha256, one.credit) == (other.name, other.sha256, other.credit)
+
+
+def test_each_asset_of_the_package_has_its_author_and_licence_beside_it(tmp_path):
+    bare = Library(tmp_path / "cache", tmp_path / "data")
+    listed = (PACKAGED / "LICENCES.md").read_text("utf-8")
+    for entry in [*bare.entries(), *bare.environments()]:
+        if entry.creator != "scene-attack":
+            assert f"| {entry.name} | {entry.title} | {entry.creator} | [{entry.licence}](https://" in listed
+
+
+def test_an_export_s_library_has_nothing_of_the_package(tmp_path):
+    bare = Library(tmp_path / "cache", tmp_path / "data", packaged=False)
     assert {entry.kind for entry in bare.entries()} == {"primitive"}
-    assert [entry.name for entry in bare.environments()] == ["uniform"]
-    assert bare.mesh("primitive/cube").triangles == 12
+    assert [entry.name for entry in pickle.loads(pickle.dumps(bare)).environments()] == ["uniform"]
+
+
+def test_a_radiance_picture_in_the_folder_of_maps_is_a_map(tmp_path):
+    (tmp_path / "environments").mkdir()
+    head = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 1 +X 4\n"
+    (tmp_path / "environments" / "garden.hdr").write_bytes(head + 4 * bytes([128, 64, 0, 129]))
+    garden = Library(tmp_path, tmp_path / "data").environment("garden")
+    assert garden.radiance.tolist() == [4 * [[1.0, 0.5, 0.0]]]
 
 
 def test_filters(library):

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from itertools import chain
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -36,7 +37,7 @@ def _model(slug: str, creator: str, path: str) -> Model:
         creator=creator,
         licence="",
         library="L",
-        archive="",
+        archive=Path(),
         path=path,
         size=(1, 1, 1),
         rotation=(1, 0, 0, 0, 1, 0, 0, 0, 1),
