@@ -147,7 +147,7 @@ def fingerprints() -> dict[str, str]:
         return known
     from scene_attack.rendering.opengl.context import gl_backend
     from scene_attack.runs.environment import options_to_run
-    from scene_attack.runs.extensions import set_up
+    from scene_attack.runs.set_up import set_up
     from scene_attack.scenes.library import Library
 
     settings = options_to_run()

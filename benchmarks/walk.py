@@ -28,7 +28,7 @@ import httpx
 from redis import Redis
 
 from scene_attack.process import use
-from scene_attack.runs.extensions import set_up
+from scene_attack.runs.set_up import set_up
 from scene_attack.scenes.library import Library
 from scene_attack_api import warm_pool
 from scene_attack_api.main import create_app, server

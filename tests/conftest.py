@@ -11,7 +11,7 @@ import structlog
 from redis import Redis
 from redis.exceptions import RedisError
 
-from scene_attack.runs.extensions import set_up
+from scene_attack.runs.set_up import set_up
 from scene_attack_service.settings import Settings
 from scene_attack_worker.stack import EmbeddedRedis
 from tests import object_store, postgresql

@@ -23,7 +23,7 @@ from scene_attack_service.access.caller import KEYLESS, Caller
 from scene_attack_service.access.caller import Scope as AccessScope
 
 _OPEN = re.compile(r"/(?:healthz|readyz|sign-in|sign-out|static/.*)")
-"""The paths that need no key: health, for load balancers, which without a key names no extension and no network; and
+"""The paths that need no key: health, for load balancers, which without a key names no plug-in and no network; and
 the way to a session."""
 _FOR_SCRIPTS = re.compile(r"/(?:v1|parts|metrics|openapi\.json)(?:/|$)")
 """The beginning of paths that are no pages: a browser without a session gets 401 there, and is not sent to sign in."""

@@ -20,7 +20,7 @@ from starlette.middleware.gzip import DEFAULT_EXCLUDED_CONTENT_TYPES, GZipMiddle
 from scene_attack.errors import InvalidRequest
 from scene_attack.logs import configure, logger
 from scene_attack.process import check_device
-from scene_attack.runs.extensions import log_extensions, set_up
+from scene_attack.runs.set_up import log_plugins, set_up
 from scene_attack.runs.spec import names_in
 from scene_attack.scenes.library import Library
 from scene_attack.strict import Names
@@ -224,7 +224,7 @@ def run(values: Settings, listener: socket.socket | None = None) -> int:
     gc.freeze()
     listener = listener or listen(values.host, values.port)
     log.info("listening", address=listener.getsockname())
-    log_extensions()
+    log_plugins()
     server(app).run(sockets=[listener])
     return 0
 

@@ -1,4 +1,4 @@
-"""Defines the errors of requests and jobs, and how errors of other code, such as an extension's, become one of them."""
+"""Defines the errors of requests and jobs, and how errors of other code, such as a plug-in's, become one of them."""
 
 import errno
 import re

@@ -300,7 +300,7 @@ def _files(folder: Path) -> dict[str, bytes]:
 def _set_up(options: Options | None) -> Options:
     from scene_attack.owner import run
     from scene_attack.runs.environment import read_options
-    from scene_attack.runs.extensions import set_up
+    from scene_attack.runs.set_up import set_up
 
     chosen = read_options() if options is None else options
     run(lambda _: set_up(chosen))

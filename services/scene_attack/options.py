@@ -30,10 +30,9 @@ class Options(BaseModel):
         description="where networks and the torch renderer compute: auto (CUDA if there is one), cpu, cuda, cuda:N",
     )
     threads: int = Field(2, ge=1, le=256, description="torch threads of a job process; part of the backend string")
-    extensions: str | None = Field(
-        None,
-        description="files, or folders of .py files, with attacks, renderers and targets of your own; separated as in "
-        "`PATH`",
+    without_plugins: tuple[str, ...] | str = Field(
+        (),
+        description="names of installed plug-ins to leave out, separated by commas; `scene-attack doctor` lists them",
     )
     targets: Path | None = Field(
         None, description="folder with networks of your own, one folder each with a `card.json`; docs/targets.md"
@@ -60,6 +59,11 @@ class Options(BaseModel):
     kernel_dir: Path | None = Field(None, description="folder of the compiled kernels; default: native in the cache")
     max_upload_bytes: int = Field(32 * 2**20, ge=1, description="largest mesh upload")
     max_faces: int = Field(300_000, ge=1, description="largest mesh, in triangles")
+
+    @field_validator("without_plugins")
+    @classmethod
+    def _each_name(cls, value: tuple[str, ...] | str) -> tuple[str, ...]:
+        return tuple(sorted(listed(value))) if isinstance(value, str) else value
 
     @field_validator("target_endpoints")
     @classmethod
@@ -101,11 +105,6 @@ class Options(BaseModel):
         return self.cache_dir / "native" if self.kernel_dir is None else self.kernel_dir.expanduser().resolve()
 
     @property
-    def extension_paths(self) -> list[Path]:
-        """The files and folders listed in `extensions`, as they were written."""
-        return [Path(part) for part in (self.extensions or "").split(os.pathsep) if part]
-
-    @property
     def target_folder(self) -> Path | None:
         """The folder with networks of one's own, absolute; None if there is none."""
         return None if self.targets is None else self.targets.expanduser().resolve()
@@ -123,7 +122,11 @@ class Options(BaseModel):
     def environ(self) -> dict[str, str]:
         """Returns the environment variables that give a child process these options."""
         values = {name: getattr(self, name) for name in type(self).model_fields}
-        return {f"{PREFIX}{name.upper()}": str(value) for name, value in values.items() if value is not None}
+        return {
+            f"{PREFIX}{name.upper()}": ",".join(value) if isinstance(value, tuple) else str(value)
+            for name, value in values.items()
+            if value not in (None, ())
+        }
 
     @classmethod
     def of_environment(cls) -> Self:

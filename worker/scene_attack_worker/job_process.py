@@ -131,7 +131,7 @@ class Jobs:
         except Cancelled:
             cancelled = record.leases.standing(attempt) is Standing.CANCEL  # and it was not taken back
             record.leases.cancelled(attempt, self._left(attempt, job) if cancelled else ())
-        except (Exception, SystemExit) as error:  # an extension's code may end the process it is run in
+        except (Exception, SystemExit) as error:  # a plug-in's code may end the process it is run in
             if outage_of(error) is not None:
                 raise
             if isinstance(error, InvalidRequest) and not job.checked:

@@ -10,10 +10,10 @@ from prometheus_client.registry import Collector
 from redis.exceptions import RedisError
 from sqlalchemy.exc import SQLAlchemyError
 
-from scene_attack.client.schemas import ExtensionView, Health, Readiness, TargetFolderView
-from scene_attack.extensions import loaded_extensions
+from scene_attack.client.schemas import Health, PluginView, Readiness, TargetFolderView
 from scene_attack.logs import logger
-from scene_attack.runs.extensions import target_folders
+from scene_attack.plugins import loaded_plugins
+from scene_attack.runs.set_up import target_folders
 from scene_attack_api.requests import KnownCaller, ServicesDependency
 from scene_attack_service.jobs.queue import Queue
 from scene_attack_service.jobs.statistics import Figures, ServiceFigures
@@ -51,7 +51,7 @@ def get_readiness(services: ServicesDependency, response: Response, caller: Know
     storage = services.storage.usable()
     ready = database and redis and storage and workers > 0
     response.status_code = 200 if ready else 503
-    extensions = None if caller is None else [ExtensionView.of(extension) for extension in loaded_extensions()]
+    plugins = None if caller is None else [PluginView.of(plugin) for plugin in loaded_plugins()]
     targets = None if caller is None else [TargetFolderView.of(folder) for folder in target_folders()]
     return Readiness(
         ready=ready,
@@ -60,7 +60,7 @@ def get_readiness(services: ServicesDependency, response: Response, caller: Know
         storage=storage,
         worker=workers > 0,
         workers=workers,
-        extensions=extensions,
+        plugins=plugins,
         targets=targets,
     )
 

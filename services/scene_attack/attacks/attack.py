@@ -1,6 +1,7 @@
 """The base class of all attacks, and their registry. This module does not import torch.
 
-An attack is one file with one class, which derives from `Attack` and is registered by `@register`. The request's union
+An attack is one file with one class, which derives from `Attack` and is registered by `@register`; ours are listed at
+`ATTACKS`. The request's union
 of attacks, the paths of errors, openapi.yaml and docs/reference/fields.md follow from the registry.
 """
 
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, TypeV
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from scene_attack.attacks.request import Expectation, Loss
-from scene_attack.extensions import Registry
+from scene_attack.plugins import Registry
 from scene_attack.rendering.declaration import MAX_STEP, RENDERERS, Group
 from scene_attack.scenes.description import Model
 from scene_attack.text import there_are
@@ -283,7 +284,8 @@ def _completed(settings: type[Attack], fields: dict[str, Any]) -> dict[str, Any]
     return data
 
 
-ATTACKS: Registry[type[Attack]] = Registry("method", "scene_attack.attacks")
+_BUILT_IN = ("apgd", "cma_es", "fgsm", "mi_fgsm", "natural_gradient", "p_rgf", "spsa", "square", "zoo")
+ATTACKS: Registry[type[Attack]] = Registry("method", [f"scene_attack.attacks.{name}" for name in _BUILT_IN])
 
 AnyAttack = TypeVar("AnyAttack", bound=Attack)
 

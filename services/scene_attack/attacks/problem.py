@@ -1,7 +1,7 @@
 """Problem of an attack: the parameters that may change, the loss, and the evaluation of a perturbation.
 
 Images are rounded to 8 bits with a straight-through derivative, so that an attack sees the image that is saved. What
-renderers, networks and attacks return is checked here: an extension that breaks its protocol must end its job with a
+renderers, networks and attacks return is checked here: a plug-in that breaks its protocol must end its job with a
 reason. Unchecked, most of what it may return is a result: values beyond [0,1] are clipped when the image is saved, and
 scores that are no numbers have a largest one too.
 """

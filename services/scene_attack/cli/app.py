@@ -3,6 +3,7 @@
 Other packages add commands by an entry point of the group `scene_attack.commands`: a function of the Typer app.
 """
 
+import os
 import sys
 from importlib.metadata import entry_points
 from typing import Annotated, NoReturn
@@ -35,8 +36,14 @@ def _root(
     version: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and exit.")
     ] = False,
+    without_plugin: Annotated[
+        list[str] | None,
+        typer.Option("--without-plugin", metavar="NAME", help="Leave out an installed plug-in; may be repeated."),
+    ] = None,
 ) -> None:
-    pass
+    del version  # its callback ends the program
+    if without_plugin:
+        os.environ["SCENE_ATTACK_WITHOUT_PLUGINS"] = ",".join(without_plugin)
 
 
 for part in (run.app, analyse.app, export.app, jobs.submitting, doctor.app):

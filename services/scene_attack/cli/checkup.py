@@ -21,7 +21,7 @@ from packaging.requirements import Requirement
 from scene_attack import process
 from scene_attack.errors import InvalidRequest, JobFailure, printable, summary, without_folders
 from scene_attack.options import Options
-from scene_attack.runs.extensions import set_up
+from scene_attack.runs.set_up import set_up
 
 Level = Literal["ok", "warn", "fail"]
 GIGABYTE = 10**9
@@ -114,12 +114,12 @@ def meshes(options: Options) -> Iterator[Finding]:
 
 
 def additions(options: Options) -> Iterator[Finding]:
-    """Extensions, and networks of one's own, that were left out."""
-    from scene_attack.extensions import loaded_extensions
-    from scene_attack.runs.extensions import set_up, target_folders
+    """Plug-ins, and networks of one's own, that were loaded or left out."""
+    from scene_attack.plugins import loaded_plugins
+    from scene_attack.runs.set_up import set_up, target_folders
 
     set_up(options)
-    for kind, loaded in (("extension", loaded_extensions()), ("target", target_folders())):
+    for kind, loaded in (("plug-in", loaded_plugins()), ("target", target_folders())):
         for addition in loaded:
             if addition.error is None:
                 yield Finding(f"{kind} {addition.name}", "ok", "loaded")

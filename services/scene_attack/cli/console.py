@@ -155,20 +155,18 @@ def yes(value: bool | None) -> Text:
     return Text("") if value is None else Text("yes", style="green") if value else Text("no", style="yellow")
 
 
-def report_extensions() -> None:
-    """Prints on stderr the extensions that were left out, with the reasons."""
-    from scene_attack.errors import printable
-    from scene_attack.extensions import loaded_extensions
+def report_plugins() -> None:
+    """Prints on stderr the plug-ins that were left out, with the reasons."""
+    from scene_attack.plugins import loaded_plugins
 
-    for extension in loaded_extensions():
-        if extension.error is not None:
-            file = printable(str(extension.path))
-            remark(f"extension left out: {file}: {extension.error}")
+    for plugin in loaded_plugins():
+        if plugin.error is not None:
+            remark(f"plug-in left out: {plugin.name} ({plugin.package}): {plugin.error}")
 
 
 def report_targets() -> None:
     """Prints on stderr the folders of networks that were left out. A request that names one is told the reason."""
-    from scene_attack.runs.extensions import target_folders
+    from scene_attack.runs.set_up import target_folders
 
     for folder in target_folders():
         if folder.error is not None:

@@ -23,8 +23,8 @@ from scene_attack.targets.info import TargetInfo
 from scene_attack.text import line, line_or_nothing, paragraphs
 
 if TYPE_CHECKING:
-    from scene_attack.extensions import Extension
-    from scene_attack.runs.extensions import TargetFolder
+    from scene_attack.plugins import Plugin
+    from scene_attack.runs.set_up import TargetFolder
 
 
 class BadField(BaseModel):
@@ -227,19 +227,22 @@ class Health(BaseModel):
     status: str
 
 
-class ExtensionView(BaseModel):
-    """A file of SCENE_ATTACK_EXTENSIONS, as the service loaded it."""
+class PluginView(BaseModel):
+    """An installed plug-in, as the service loaded it."""
 
-    file: str = Field(description="the file's name, without the folder")
-    sha256: str | None = Field(description="SHA-256 of the file's bytes; null if it cannot be read")
+    name: str
+    package: str = Field(description="name and version of its package")
+    sha256: str | None = Field(description="SHA-256 of its module's file; null if it was left out")
     adds: list[str] = Field(description='kind and name of each registration, e.g. "renderer tint"')
     error: str | None = Field(description="the reason for which it was left out; null if it was loaded")
 
     @classmethod
-    def of(cls, extension: "Extension") -> Self:
-        """The view of a loaded file."""
-        adds = sorted(f"{kind} {name}" for kind, name in extension.adds)
-        return cls(file=extension.name, sha256=extension.sha256, adds=adds, error=_shown(extension.error))
+    def of(cls, plugin: "Plugin") -> Self:
+        """The view of a plug-in."""
+        adds = sorted(f"{kind} {name}" for kind, name in plugin.adds)
+        return cls(
+            name=plugin.name, package=plugin.package, sha256=plugin.sha256, adds=adds, error=_shown(plugin.error)
+        )
 
 
 class TargetFolderView(BaseModel):
@@ -264,8 +267,8 @@ class Readiness(BaseModel):
     storage: bool = Field(description="whether the data directory can be written and has space")
     worker: bool = Field(description="whether there is a worker")
     workers: int = Field(description="number of workers with a heartbeat in the last 15 seconds")
-    extensions: list[ExtensionView] | None = Field(
-        description="the extensions that this process loaded or left out; the service can be ready without the latter. "
+    plugins: list[PluginView] | None = Field(
+        description="the plug-ins that this process loaded or left out; the service can be ready without the latter. "
         "null for a caller without a key"
     )
     targets: list[TargetFolderView] | None = Field(

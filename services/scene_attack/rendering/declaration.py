@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from scene_attack.extensions import Registry
+from scene_attack.plugins import Registry
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -221,7 +221,10 @@ class DeclaredRenderer:
         return None
 
 
-RENDERERS: Registry[Declaration] = Registry("renderer", "scene_attack.rendering")
+RENDERERS: Registry[Declaration] = Registry(
+    "renderer",
+    [f"scene_attack.rendering.{name}" for name in ("image", "pyrender.declaration", "torch.declaration")],
+)
 
 Class = TypeVar("Class", bound=type[DeclaredRenderer])
 

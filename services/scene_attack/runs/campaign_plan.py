@@ -351,7 +351,7 @@ def jobs(campaign: CampaignSpec, attacked: Iterable[View], answers: Mapping[int,
                 yield PlannedJob.on(view, answer, column.name, spec)
 
 
-_NOT_IDENTITY = ("seed", "credits", "extensions")
+_NOT_IDENTITY = ("seed", "credits", "plugins")
 """Fields of the provenance that belong to the request, or change no bits, or are compared otherwise."""
 
 
@@ -371,11 +371,11 @@ def identity(provenance: Provenance, label: str, confidence: float) -> str:
 def reusable(result: Result, planned: Planned) -> bool:
     """Whether the result is of the planned job's request, and of the inputs and backend that its view had.
 
-    The result of an extension's attack is not: its file may have changed since the first answers were found.
+    The result of a plug-in's attack is not: its code may have changed since the first answers were found.
     """
     return (
         planned.identity is not None
-        and not result.provenance.extensions
+        and not result.provenance.plugins
         and identity(result.provenance, result.original.label, result.original.confidence) == planned.identity
         and digest(JobSpec.model_validate(result.spec)) == planned.digest
     )

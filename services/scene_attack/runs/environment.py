@@ -41,7 +41,7 @@ def options_to_run() -> Options:
     Raises InvalidRequest, which names the variable, also for a device that is not there.
     """
     from scene_attack.process import check_device
-    from scene_attack.runs.extensions import set_up
+    from scene_attack.runs.set_up import set_up
 
     options = read_options()
     set_up(options)

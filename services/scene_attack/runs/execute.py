@@ -26,7 +26,7 @@ from scene_attack.attacks.run import AttackRun, check_masking, run_attack
 from scene_attack.attacks.run import best as best_of_checkpoint
 from scene_attack.attacks.trace import TraceRow
 from scene_attack.errors import Cancelled
-from scene_attack.extensions import loaded_extensions
+from scene_attack.plugins import loaded_plugins
 from scene_attack.process import versions
 from scene_attack.rendering.declaration import RENDERERS
 from scene_attack.rendering.physical_change import Change, change_images, changes_in_words
@@ -301,12 +301,12 @@ def provenance(prepared: Prepared) -> Provenance:
             for thing, mesh in zip(prepared.spec.scene.objects, prepared.scene.meshes, strict=True)
         },
         credits=prepared.scene.credits(lit_by_map(prepared.spec)),
-        extensions=_extensions(prepared.spec),
+        plugins=_plugins(prepared.spec),
     )
 
 
-def _extensions(spec: JobSpec) -> dict[str, str]:
-    """File name to sha256 of the extension files that this job's method, renderers or target come from."""
+def _plugins(spec: JobSpec) -> dict[str, str]:
+    """Package to sha256 of the plug-ins of others that this job's method, renderers or target come from."""
     used = {
         ("method", spec.attack.method),
         ("renderer", spec.attack.renderer),
@@ -314,7 +314,8 @@ def _extensions(spec: JobSpec) -> dict[str, str]:
         ("target", spec.target.name),
         ("target", spec.attack.guide),
     }
-    return {file.name: file.sha256 for file in loaded_extensions() if file.sha256 is not None and file.adds & used}
+    others = [plugin for plugin in loaded_plugins() if not plugin.ours and plugin.adds & used]
+    return {plugin.package: plugin.sha256 for plugin in others if plugin.sha256 is not None}
 
 
 class BestSoFar(BaseModel):

@@ -11,9 +11,9 @@ from typing import Literal
 from pydantic import BaseModel, Field, ValidationError
 
 from scene_attack.errors import InvalidRequest
-from scene_attack.extensions import NAME, loaded_extensions
-from scene_attack.runs.extensions import CARD, MODEL_FILES, register_folder
+from scene_attack.plugins import NAME, loaded_plugins
 from scene_attack.runs.result import Result
+from scene_attack.runs.set_up import CARD, MODEL_FILES, register_folder
 from scene_attack.runs.spec import JobSpec
 from scene_attack.scenes.exported_assets import check_plain
 from scene_attack.targets.custom.card import AllowList
@@ -32,9 +32,8 @@ class ExportedTarget(BaseModel):
     model_file: Literal["model.pt2", "model.onnx", "model.safetensors"] | None = Field(
         description="the file of a user's own network to put into the folder of this name; null for other networks"
     )
-    extensions: dict[str, str] = Field(
-        description="name to SHA-256 of the extension files that register the network; put them beside others in "
-        "SCENE_ATTACK_EXTENSIONS"
+    plugins: dict[str, str] = Field(
+        description="name and version to SHA-256 of the module of the plug-in that registers the network; install it"
     )
 
     def missing(self, folder: str) -> str | None:
@@ -47,9 +46,9 @@ class ExportedTarget(BaseModel):
                 f"the weights of the network {self.name!r} are not in the export: put {self.model_file}, whose SHA-256 "
                 f"is {self.weights_sha256}, into {folder}/{self.name}"
             )
-        if self.extensions:
-            files = ", ".join(f"{name} (SHA-256 {sha256})" for name, sha256 in self.extensions.items())
-            return f"the network {self.name!r} is registered by {files}: name it in SCENE_ATTACK_EXTENSIONS"
+        if self.plugins:
+            packages = ", ".join(f"{name} (SHA-256 {sha256})" for name, sha256 in self.plugins.items())
+            return f"the network {self.name!r} is registered by the plug-in {packages}: install it"
         if self.card is not None and self.card.card_sha256 is None:
             return None
         return (
@@ -68,16 +67,16 @@ def exported_targets(result: Result, spec: JobSpec) -> list[ExportedTarget]:
 
 def _exported(name: str, weights_sha256: str, result: Result) -> ExportedTarget:
     known = TARGETS.get(name)
-    used = result.provenance.extensions
+    used = result.provenance.plugins
     return ExportedTarget(
         name=name,
         card=None if known is None else known.info,
         weights_sha256=weights_sha256,
         model_file=None if known is None or known.model_file is None else known.model_file.name,
-        extensions={
-            extension.name: used[extension.name]
-            for extension in loaded_extensions()
-            if extension.name in used and ("target", name) in extension.adds
+        plugins={
+            plugin.package: used[plugin.package]
+            for plugin in loaded_plugins()
+            if plugin.package in used and ("target", name) in plugin.adds
         },
     )
 

@@ -194,9 +194,10 @@ class Provenance(_Record):
     meshes: dict[str, str] = Field(description="mesh name to sha256 of its file")
     credits: list[str] = Field(description="creators and licences of the models and maps shown")
     card_sha256: str | None = Field(None, description="sha256 of the card of a network of your own")
-    extensions: dict[str, str] = Field(
+    plugins: dict[str, str] = Field(
         default_factory=dict,
-        description="name to sha256 of the extension files that registered the method, a renderer or the target",
+        description="name and version to sha256 of the module of each plug-in, of those that do not come with "
+        "scene-attack, that registered the method, a renderer or the target",
     )
 
 

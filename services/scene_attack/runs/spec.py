@@ -1,6 +1,6 @@
 """The model of a whole request, which is the same JSON for `POST /v1/jobs` and `scene-attack run`.
 
-The attack of a request is one of all that are registered when it is read, the operator's extensions among them. The
+The attack of a request is one of all that are registered when it is read, those of plug-ins among them. The
 labels that its goal names are looked up by `asked_goal`, all other names by `names_in`. `scene_name` and the functions
 after it name a request in lists and tables. `RerenderingSpec` is the request of the other kind of job. No torch is
 needed, so that a request is checked before it is queued.
@@ -535,7 +535,7 @@ def attack_name(spec: Mapping[str, Any]) -> str:
     """Renderer, groups and method of a full spec, e.g. "image fgsm", "torch combined fgsm" or "pyrender color zoo".
 
     "combined" stands for the default groups of a renderer with several of them. The only group of a renderer is not
-    named. If the renderer is not installed, as an extension removed since the job ran, all its attacked groups are
+    named. If the renderer is not installed, as a plug-in removed since the job ran, all its attacked groups are
     named.
     """
     attack = spec["attack"]

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeVar
 
-from scene_attack.extensions import Registry
+from scene_attack.plugins import Registry
 
 if TYPE_CHECKING:
     from torch import Tensor, nn
@@ -42,7 +42,7 @@ class Architecture:
     fill: Fill
 
 
-ARCHITECTURES: Registry[Architecture] = Registry("architecture", "scene_attack.targets", "register_architecture")
+ARCHITECTURES: Registry[Architecture] = Registry("architecture", ["scene_attack.targets.image_networks"])
 
 
 def register_architecture(name: str, fill: Fill = fill_by_name) -> Callable[[Builder], Builder]:

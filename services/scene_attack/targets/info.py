@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal, TypeVar
 from pydantic import BaseModel
 
 from scene_attack.errors import InvalidRequest
-from scene_attack.extensions import Registry
+from scene_attack.plugins import Registry
 from scene_attack.process import options
 from scene_attack.text import there_are
 
@@ -100,7 +100,9 @@ class RegisteredTarget:
     """Its model file; None for a factory, an endpoint, and a network that somebody else brings."""
 
 
-TARGETS: Registry[RegisteredTarget] = Registry("target", "scene_attack.targets")
+TARGETS: Registry[RegisteredTarget] = Registry(
+    "target", ["scene_attack.targets.image_networks", "scene_attack.targets.iep.card"]
+)
 
 UNAVAILABLE: dict[str, str] = {}
 """Name to reason of each folder of SCENE_ATTACK_TARGETS that cannot be a target."""

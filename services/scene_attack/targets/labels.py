@@ -2,8 +2,8 @@
 
 `imagenet_truth.json` was reviewed by hand, model by model: the ImageNet labels that a person would accept for a kind of
 furniture ("kinds") or, where the kind is too coarse, for one mesh ("meshes", which goes before its kind). A model in
-doubt has none. "same" lists the groups of ImageNet labels between which no image decides. It needs no torch, unless an
-extension does.
+doubt has none. "same" lists the groups of ImageNet labels between which no image decides. It needs no torch, unless a
+plug-in does.
 """
 
 import json

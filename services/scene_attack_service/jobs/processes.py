@@ -338,7 +338,7 @@ def warm_up(values: Settings) -> str:
     import torch  # the API reads this module and must load no torch
 
     from scene_attack.rendering.opengl.context import gl_backend
-    from scene_attack.runs.extensions import log_extensions, set_up
+    from scene_attack.runs.set_up import log_plugins, set_up
     from scene_attack.targets import registry
 
     set_up(values)
@@ -346,7 +346,7 @@ def warm_up(values: Settings) -> str:
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     forbid_new_privileges()
     torch.set_num_threads(values.threads)
-    log_extensions()
+    log_plugins()
     registry.load(DEFAULT_TARGET)
     return gl_backend()
 

@@ -50,7 +50,7 @@ def answer(message: dict[str, Any], library: Library, store: ArtifactStore) -> d
     except JobFailure as error:
         log.warning("request failed", kind=error.kind, exc_info=error)
         return OUT_OF_MEMORY if out_of_memory(error) else {"trouble": f"{error.kind}: {error.detail}"}
-    except (Exception, SystemExit) as error:  # an extension's code may end the process it is run in
+    except (Exception, SystemExit) as error:  # a plug-in's code may end the process it is run in
         outage = outage_of(error)
         if outage is not None:
             log.warning("request met an outage", resource=outage.resource, error=str(error))

@@ -162,7 +162,7 @@ def result(spec: JobSpec = SPEC, **changed: Any) -> dict[str, Any]:
             "scene_sha256": "5c" * 32,
             "weights_sha256": "3e" * 32,
             "meshes": {"furniture/grand-piano": "9a" * 32},
-            "extensions": {"mine.py": "1f" * 32},
+            "plugins": {"mine 1.0": "1f" * 32},
             "credits": ["“Grand piano” by Dante, CC0 1.0"],
         },
     }

@@ -75,8 +75,8 @@ def test_what_is_not_listed_is_not_told_from_what_is(guarded: Guarded, path: str
 def test_health_is_open_but_brief(guarded: Guarded) -> None:
     assert guarded.client.get("/healthz").json() == {"status": "ok"}
     brief = guarded.client.get("/readyz").json()
-    assert (brief["extensions"], brief["targets"]) == (None, None)
-    assert guarded.client.get("/readyz", headers=guarded.headers["only jobs:read"]).json()["extensions"] == []
+    assert (brief["plugins"], brief["targets"]) == (None, None)
+    assert guarded.client.get("/readyz", headers=guarded.headers["only jobs:read"]).json()["plugins"] == []
 
 
 def test_the_key_comes_before_the_body(guarded: Guarded) -> None:

@@ -84,7 +84,7 @@ async def test_job_page_tells_the_whole_result(record: Record) -> None:
         "and by more than 1/255 in 0.3 % of them",
         "5c" * 32,
         f"Mesh furniture/grand-piano {'9a' * 32}",
-        f"Extension mine.py {'1f' * 32}",
+        f"Plug-in mine 1.0 {'1f' * 32}",
         "delta, measured at the start normals 0.001",
         "after 5 steps, 1,234 queries, 1.2 s",
         "queued just now , started just now , succeeded just now",

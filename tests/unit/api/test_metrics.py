@@ -26,7 +26,7 @@ def test_without_a_worker_the_service_is_not_ready(client: Client) -> None:
         "storage": True,
         "worker": False,
         "workers": 0,
-        "extensions": [],
+        "plugins": [],
         "targets": [],
     }
 

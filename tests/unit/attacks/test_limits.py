@@ -10,7 +10,7 @@ from scene_attack.attacks.square import Square
 from scene_attack.attacks.zoo import ZOO
 from scene_attack.rendering.pyrender.declaration import PYRENDER
 from scene_attack.rendering.torch.declaration import TORCH
-from scene_attack.runs.extensions import ATTACKS
+from scene_attack.runs.set_up import ATTACKS
 
 
 @pytest.mark.parametrize(

@@ -12,12 +12,14 @@ from pathlib import Path
 import pytest
 import torch
 
-from scene_attack.extensions import load
-from scene_attack.runs.extensions import register_folders
+from scene_attack import plugins
+from scene_attack.plugins import load
+from scene_attack.runs.set_up import register_folders
 from scene_attack.targets import registry
 from scene_attack.targets.architectures import ARCHITECTURES
 from scene_attack.targets.custom.card import AllowList, Card, Preprocessing
 from scene_attack_service.settings import Settings
+from tests.installed import installed
 from tests.unit.targets.custom.registries import restored
 
 pytestmark = pytest.mark.slow
@@ -63,7 +65,7 @@ def folder(server: HTTPServer, tmp_path_factory: pytest.TempPathFactory) -> Path
 
 @pytest.fixture
 def registered(folder: Path, server: HTTPServer, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """The page's folders as targets, its extension and its server."""
+    """The page's folders as targets, its plug-in and its server."""
     with restored(monkeypatch):
         exported = re.findall(r"^export SCENE_ATTACK_(TARGET_\w+)=(.*)$", PAGE, re.M)
         listed = Settings.model_validate({name.lower(): at(server, value) for name, value in exported})
@@ -71,12 +73,14 @@ def registered(folder: Path, server: HTTPServer, monkeypatch: pytest.MonkeyPatch
         names: dict[str, type[BaseHTTPRequestHandler]] = {}
         exec(compile(BLOCKS["serve.py"], "serve.py", "exec"), names)
         server.RequestHandlerClass = names["Handler"]
-        (extension,) = load([folder / "architecture.py"], (ARCHITECTURES,))
-        assert extension.error is None
+        monkeypatch.syspath_prepend(installed(folder / "plugins", {"architecture": BLOCKS["architecture.py"]}))
+        monkeypatch.setattr(plugins, "_loaded", [])
+        (plugin,) = [one for one in load((ARCHITECTURES,)) if not one.ours]
+        assert plugin.error is None
         folders = register_folders(folder / "mine", AllowList.of(listed))
         assert {one.name: one.error for one in folders} == dict.fromkeys(TARGET_NAMES)
         yield
-    for name in ("small", "maite_model"):
+    for name in ("small", "maite_model", "architecture"):
         sys.modules.pop(name, None)
 
 

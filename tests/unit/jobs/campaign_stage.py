@@ -72,7 +72,7 @@ class Stage:
     def result(job: JobSpec, **changed: Any) -> dict[str, Any]:
         about: dict[str, Any] = {"outcome": "fooled", "right_before": True, "truth": ["balloon"]}
         made = result(job, **(about | changed))
-        made["provenance"]["extensions"] = {}
+        made["provenance"]["plugins"] = {}
         return made
 
     def answer(self, asked: dict[str, Any], right: bool) -> dict[str, Any]:

@@ -157,7 +157,7 @@ def test_redis_is_named_and_faults_are_no_outages(tmp_path: Path) -> None:
     assert outage_of(caught.value) == Outage("redis", "Redis does not answer")
     for error in (ValueError("x"), FileNotFoundError(2, "gone"), MemoryError(), None):
         assert outage_of(error) is None
-    wrapped = RuntimeError("an extension wraps it")
+    wrapped = RuntimeError("a plug-in wraps it")
     wrapped.__cause__ = OSError(28, "No space left on device")
     assert outage_of(wrapped) == FULL
 

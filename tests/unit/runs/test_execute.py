@@ -43,7 +43,7 @@ ATTACKS: list[dict[str, Any]] = [
 REPLAY = """
 import json, sys
 from pathlib import Path
-from scene_attack.runs.extensions import set_up
+from scene_attack.runs.set_up import set_up
 from scene_attack.runs.replay import replay
 from scene_attack_service.settings import Settings
 set_up(Settings())

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from scene_attack.cli.commands.options import SHORT, JsonOption, PriorityOption, UrlOption, whole_campaign_id
-from scene_attack.cli.console import FittedTable, print_found, print_json, remark, report_extensions, say
+from scene_attack.cli.console import FittedTable, print_found, print_json, remark, report_plugins, say
 from scene_attack.client import DEFAULT_URL
 from scene_attack.errors import InvalidRequest
 
@@ -56,7 +56,7 @@ def run(
 
     options = options_to_run()
     keep_memory()
-    report_extensions()
+    report_plugins()
     campaign = read_campaign(spec, options)
     check_size(campaign)
     folder = out or Path("out") / (slugify(campaign.name) or "campaign")

@@ -13,7 +13,7 @@ from scene_attack.cli.console import (
     print_found,
     print_json,
     remark,
-    report_extensions,
+    report_plugins,
     say,
     yes,
 )
@@ -57,7 +57,7 @@ def run(
 
     options = options_to_run()
     keep_memory()
-    report_extensions()
+    report_plugins()
     job = read_job(spec, options, seed)
     check_free(out, job)
     prepare_folder(out)
@@ -178,12 +178,12 @@ def replay(
 
 
 def _read(spec: str) -> "tuple[Options, JobSpec]":
-    """The options by which this process is set up, and the job in a file. Names the extensions that were left out."""
+    """The options by which this process is set up, and the job in a file. Names the plug-ins that were left out."""
     from scene_attack.cli.specs import read_job
     from scene_attack.runs.environment import options_to_run
 
     options = options_to_run()
-    report_extensions()
+    report_plugins()
     return options, read_job(spec, options)
 
 

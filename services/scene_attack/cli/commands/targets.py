@@ -10,7 +10,7 @@ from scene_attack.cli.console import (
     err,
     print_found,
     print_json,
-    report_extensions,
+    report_plugins,
     report_targets,
     say,
     yes,
@@ -35,11 +35,11 @@ def targets(context: typer.Context, as_json: JsonOption = False) -> None:
     if context.invoked_subcommand is not None:
         return
     from scene_attack.runs.environment import read_options
-    from scene_attack.runs.extensions import set_up
+    from scene_attack.runs.set_up import set_up
     from scene_attack.targets.info import available
 
     set_up(read_options())
-    report_extensions()
+    report_plugins()
     report_targets()
     networks = available()
     rows: list[list[str | Text]] = []
@@ -69,7 +69,7 @@ def check(
     from scene_attack.runs.environment import options_to_run
 
     options = options_to_run()
-    report_extensions()
+    report_plugins()
     with err().status("loading") as line:
         assets = library(options)
         from scene_attack.runs.target_check import check as try_target

@@ -3,7 +3,7 @@ from pathlib import Path
 
 import pytest
 
-from scene_attack.runs.extensions import TargetFolder, register_folders
+from scene_attack.runs.set_up import TargetFolder, register_folders
 from scene_attack.targets.architectures import register_architecture
 from scene_attack.targets.custom.card import AllowList
 from scene_attack_service.settings import Settings

@@ -1,4 +1,4 @@
-"""Loads the operator's extensions and networks into the registries, once in each process. It needs no torch.
+"""Loads plug-ins and the operator's networks into the registries, once in each process. It needs no torch.
 
 A network that a user brings is a folder in SCENE_ATTACK_TARGETS, registered by its card. A folder with a mistake
 registers nothing; the reason is kept, and the other folders are not affected.
@@ -13,9 +13,9 @@ from pydantic import ValidationError
 
 from scene_attack.attacks.attack import ATTACKS
 from scene_attack.errors import InvalidRequest, printable
-from scene_attack.extensions import NAME, load, loaded_extensions
 from scene_attack.logs import logger
 from scene_attack.options import Options
+from scene_attack.plugins import NAME, load, loaded_plugins
 from scene_attack.process import use
 from scene_attack.rendering.declaration import RENDERERS
 from scene_attack.runs.field_errors import invalid_fields
@@ -48,7 +48,7 @@ class TargetFolder:
     """The reason for which it is no target; None if it is one."""
 
 
-LOADED_ONCE = ("extensions", "targets", "target_factories", "target_endpoints")
+LOADED_ONCE = ("without_plugins", "targets", "target_factories", "target_endpoints")
 """The options that say what is loaded."""
 
 log = logger(__name__)
@@ -64,16 +64,19 @@ _loaded: _Loaded | None = None
 
 
 def set_up(options: Options) -> None:
-    """Sets up a process that checks or runs jobs: its options, the operator's extensions, and networks in folders.
+    """Sets up a process that checks or runs jobs: its options, the installed plug-ins, and networks in folders.
 
     Calling it again with the same options does nothing. Raises InvalidRequest, which names the variable, for a value
-    that differs from the one that this process was set up with. An extension or a network that cannot be loaded is left
-    out; `loaded_extensions` and `target_folders` say why.
+    that differs from the one that this process was set up with, and for a plug-in to leave out that there is not. A
+    plug-in or a network that cannot be loaded is left out; `loaded_plugins` and `target_folders` say why.
     """
     global _loaded
     use(options)
     if _loaded is None:
-        load(options.extension_paths, (ATTACKS, RENDERERS, TARGETS, ARCHITECTURES))
+        try:
+            load((ATTACKS, RENDERERS, TARGETS, ARCHITECTURES), options.without_plugins)
+        except InvalidRequest as error:
+            raise InvalidRequest(f"SCENE_ATTACK_{error.field.upper()}", error.detail) from error
         _loaded = _Loaded(options, register_folders(options.target_folder, AllowList.of(options)))
     for name in LOADED_ONCE:
         if getattr(options, name) != getattr(_loaded.options, name):
@@ -86,14 +89,14 @@ def target_folders() -> tuple[TargetFolder, ...]:
     return () if _loaded is None else _loaded.target_folders
 
 
-def log_extensions() -> None:
-    """Logs a line for each extension and for each network's folder: what it adds, or why it was left out."""
-    for extension in loaded_extensions():
-        if extension.error is None:
-            adds = sorted(f"{kind} {name}" for kind, name in extension.adds)
-            log.info("extension loaded", file=printable(str(extension.path)), sha256=extension.sha256, adds=adds)
+def log_plugins() -> None:
+    """Logs a line for each plug-in and for each network's folder: what it adds, or why it was left out."""
+    for plugin in loaded_plugins():
+        if plugin.error is None:
+            adds = sorted(f"{kind} {name}" for kind, name in plugin.adds)
+            log.info("plug-in loaded", plugin=plugin.name, package=plugin.package, sha256=plugin.sha256, adds=adds)
         else:
-            log.warning("extension left out", file=printable(str(extension.path)), error=extension.error)
+            log.warning("plug-in left out", plugin=plugin.name, package=plugin.package, error=plugin.error)
     for folder in target_folders():
         if folder.error is None:
             log.info("target folder registered", target=folder.name, card_sha256=folder.card_sha256)

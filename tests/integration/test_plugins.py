@@ -1,4 +1,4 @@
-"""Extensions and networks of one's own in the real stack: the files of CONTRIBUTING.md, taken out of it as they stand,
+"""Plug-ins and networks of one's own in the real stack: the files of CONTRIBUTING.md, taken out of it as they stand,
 targets that take memory in each of the ways in which it is counted, an attack that kills its process, folders of
 networks, and what is no good.
 """
@@ -20,6 +20,7 @@ import pytest
 from scene_attack_api.main import create_app
 from scene_attack_service.jobs.leases import MAX_ATTEMPTS
 from scene_attack_service.settings import Settings
+from tests.installed import installed
 from tests.integration.conftest import Stack, serving
 from tests.integration.specs import QUICK, scene
 from tests.unit.api.conftest import serving as served
@@ -32,40 +33,44 @@ ROOT = Path(__file__).parents[2]
 BLOCKS = dict(
     re.findall(r'^```python title="(\w+\.py)"\n(.*?)^```$', (ROOT / "CONTRIBUTING.md").read_text(), re.M | re.S)
 )
-FILES = {name: code for name, code in BLOCKS.items() if not name.startswith("test_")}
+TESTS = {name: code for name, code in BLOCKS.items() if name.startswith("test_")}
+MODULES = {
+    name.removesuffix(".py").replace("_", "-"): code for name, code in BLOCKS.items() if not name.startswith("test_")
+}
 ADDS = {
-    "random_search.py": ["method random-search"],
-    "tint.py": ["renderer tint"],
-    "brightest_channel.py": ["target brightest-channel"],
+    "random-search": ["method random-search"],
+    "tint": ["renderer tint"],
+    "brightest-channel": ["target brightest-channel"],
 }
 ON_PIXELS = {"renderer": "image", "base_renderer": "pyrender", "steps": 4}
 TARGET = {"name": "brightest-channel"}
 JOBS: dict[str, tuple[dict[str, Any], set[str]]] = {
-    "the attack": ({"attack": ON_PIXELS | {"method": "random-search"}}, {"random_search.py"}),
-    "the renderer": ({"attack": {"renderer": "tint", "base_renderer": "pyrender", "steps": 4}}, {"tint.py"}),
-    "the target": ({"attack": ON_PIXELS, "target": TARGET}, {"brightest_channel.py"}),
+    "the attack": ({"attack": ON_PIXELS | {"method": "random-search"}}, {"random-search"}),
+    "the renderer": ({"attack": {"renderer": "tint", "base_renderer": "pyrender", "steps": 4}}, {"tint"}),
+    "the target": ({"attack": ON_PIXELS, "target": TARGET}, {"brightest-channel"}),
     "all three": (
         {"attack": {"renderer": "tint", "method": "random-search", "steps": 40, "spread": 0.05}, "target": TARGET},
-        set(FILES),
+        set(MODULES),
     ),
 }
-"""What each job adds to a scene, and the files its result must name."""
+"""What each job adds to a scene, and the plug-ins its result must name."""
 
 SHAPELESS = """
 from scene_attack.rendering.declaration import Group
 
 Group(name="fog", unit="1", words="fog")
 """
-LATE = FILES["tint.py"].replace('name="tint"', 'name="late"', 1)
-TAKEN = FILES["random_search.py"].replace("from __future__ import annotations", "").replace("random-search", "fgsm")
+LATE = MODULES["tint"].replace('name="tint"', 'name="late"', 1)
+TAKEN = MODULES["random-search"].replace("from __future__ import annotations", "").replace("random-search", "fgsm")
 BROKEN = {
-    "fails.py": ("raise ImportError('no module named brdf')", "line 1: ImportError: no module named brdf"),
-    "is_no_python.py": ("def (:", "SyntaxError"),
-    "is_no_text.py": (r"raise ValueError('\udc80' + 'x' * 999_999)", r"line 1: ValueError: \udc80xxx"),
-    "shapeless.py": (SHAPELESS, "group 'fog' declares no shape"),
-    "twice.py": (LATE + TAKEN, "there is a method 'fgsm' already"),
+    "fails": ("raise ImportError('no module named brdf')", "line 1: ImportError: no module named brdf"),
+    "is-no-python": ("def (:", "SyntaxError"),
+    "is-no-text": (r"raise ValueError('\udc80' + 'x' * 999_999)", r"line 1: ValueError: \udc80xxx"),
+    "of-another-interface": ("INTERFACE = 2", "is written for interface 2 of plug-ins; this is interface 1"),
+    "shapeless": (SHAPELESS, "group 'fog' declares no shape"),
+    "twice": (LATE + TAKEN, "there is a method 'fgsm' already"),
 }
-"""Files that cannot be loaded, and what is said of each. The last registers a renderer before it fails."""
+"""Plug-ins that cannot be loaded, and what is said of each. The last registers a renderer before it fails."""
 
 
 def write(folder: Path, files: dict[str, str]) -> Path:
@@ -78,7 +83,7 @@ def write(folder: Path, files: dict[str, str]) -> Path:
 LIMIT = 3 * 2**30
 SAID = "more memory than SCENE_ATTACK_JOB_MEMORY_BYTES allows a process, 3 GiB"
 TAKES_MEMORY = (
-    FILES["brightest_channel.py"].replace("brightest-channel", "takes-nothing")
+    MODULES["brightest-channel"].replace("brightest-channel", "takes-nothing")
     + '''
 import mmap
 import sys
@@ -120,7 +125,7 @@ def shared_map():
 
 
 def target(name, take, process):
-    @register(CARD.model_copy(update={"name": name}), lambda: LABELS)
+    @register_target(CARD.model_copy(update={"name": name}), lambda: LABELS)
     def load_after_taking(dtype):
         if process in sys.orig_argv:
             take()
@@ -138,10 +143,12 @@ for take in (torch_block, shared_map):
 DEADLY = """
 import os, signal
 from typing import Literal
-from scene_attack.attacks.attack import register
 from scene_attack.attacks.fgsm import FGSM
+from scene_attack.plugin import register_attack
 
-@register
+INTERFACE = 1
+
+@register_attack
 class Deadly(FGSM):
     method: Literal["deadly"] = "deadly"
 
@@ -164,14 +171,13 @@ def mine(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def extended(mine: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
-    """A stack of 3 GiB a process with the files of CONTRIBUTING.md, targets that take memory when they are loaded, an
-    attack that kills its process, files that are no good, a path where nothing is, and the networks of `mine`.
+    """A stack of 3 GiB a process with the plug-ins of CONTRIBUTING.md, targets that take memory when they are loaded,
+    an attack that kills its process, plug-ins that are no good, and the networks of `mine`.
     """
-    harmful = {"takes_memory.py": TAKES_MEMORY, "deadly.py": DEADLY}
-    files = FILES | harmful | {name: code for name, (code, _) in BROKEN.items()}
-    folder = write(tmp_path_factory.mktemp("extensions"), files)
+    harmful = {"takes-memory": TAKES_MEMORY, "deadly": DEADLY}
+    modules = MODULES | harmful | {name: code for name, (code, _) in BROKEN.items()}
     environ = {
-        "SCENE_ATTACK_EXTENSIONS": os.pathsep.join([str(folder), str(folder / "nowhere.py")]),
+        "PYTHONPATH": str(installed(tmp_path_factory.mktemp("plugins"), modules)),
         "SCENE_ATTACK_JOB_MEMORY_BYTES": str(LIMIT),
         "SCENE_ATTACK_TARGETS": str(mine),
     }
@@ -180,13 +186,13 @@ def extended(mine: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[S
 
 
 def test_the_page_has_a_file_and_a_test_of_each_kind() -> None:
-    assert set(FILES) == set(ADDS)
-    assert set(BLOCKS) == set(FILES) | {f"test_{name}" for name in FILES}
+    assert set(MODULES) == set(ADDS)
+    assert set(TESTS) == {f"test_{name.replace('-', '_')}.py" for name in MODULES}
 
 
 def test_the_tests_of_the_page_pass(tmp_path: Path) -> None:
-    environ = {"SCENE_ATTACK_EXTENSIONS": str(write(tmp_path / "mine", FILES)), "PYTHONPATH": str(ROOT)}
-    tests = write(tmp_path / "tests", {name: code for name, code in BLOCKS.items() if name not in FILES})
+    environ = {"PYTHONPATH": os.pathsep.join([str(installed(tmp_path / "mine", MODULES)), str(ROOT)])}
+    tests = write(tmp_path / "tests", TESTS)
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-c", str(ROOT / "pyproject.toml")]
     done = subprocess.run([*command, str(tests)], cwd=ROOT, env=os.environ | environ, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout
@@ -195,7 +201,7 @@ def test_the_tests_of_the_page_pass(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", JOBS)
 def test_a_job_runs_with_it(extended: Stack, name: str) -> None:
-    asked, files = JOBS[name]
+    asked, used = JOBS[name]
     job = extended.ended(extended.submit({"scene": scene()} | asked))
     assert job["state"] == "succeeded", job["failure"]
     result = job["result"]
@@ -203,8 +209,8 @@ def test_a_job_runs_with_it(extended: Stack, name: str) -> None:
     assert result["verdict"]["verified"] == (result["verdict"]["stopped"] == "verified")
     assert result["cost"]["queries"] > 0
     assert result["measured"]["image_error"] == 0
-    digests = {file: hashlib.sha256(FILES[file].encode()).hexdigest() for file in files}
-    assert result["provenance"]["extensions"] == digests
+    digests = {f"{plugin} 1.0": hashlib.sha256(MODULES[plugin].encode()).hexdigest() for plugin in used}
+    assert result["provenance"]["plugins"] == digests
     assert extended.client.get(f"/jobs/{job['id']}").status_code == 200
 
 
@@ -231,26 +237,26 @@ def test_what_they_add_is_known_everywhere(extended: Stack) -> None:
     assert [error["field"] for error in answer.json()["errors"]] == ["attack.spread"]
 
 
-def test_a_file_that_is_no_good_is_left_out_and_said_so(extended: Stack) -> None:
+def test_a_plugin_that_is_no_good_is_left_out_and_said_so(extended: Stack) -> None:
     ready = extended.client.get("/readyz")
     assert ready.status_code == 200
-    said = {one["file"]: one for one in ready.json()["extensions"]}
-    assert set(said) == {*FILES, *BROKEN, "takes_memory.py", "deadly.py", "nowhere.py"}
-    for name, code in FILES.items():
+    said = {one["name"]: one for one in ready.json()["plugins"]}
+    assert set(said) >= {*MODULES, *BROKEN, "takes-memory", "deadly"}
+    for name, code in MODULES.items():
         assert said[name]["error"] is None
+        assert said[name]["package"] == f"{name} 1.0"
         assert said[name]["adds"] == ADDS[name]
         assert said[name]["sha256"] == hashlib.sha256(code.encode()).hexdigest()
     log = [json.loads(line) for line in extended.log.read_text().splitlines() if line.startswith("{")]
-    logged = {Path(one["file"]).name: one for one in log if one["event"] == "extension left out"}
+    logged = {one["plugin"]: one for one in log if one["event"] == "plug-in left out"}
     for name, (_, why) in BROKEN.items():
         assert why in said[name]["error"]
         assert said[name]["adds"] == []
         assert why in logged[name]["error"]
-    assert "No such file" in said["nowhere.py"]["error"]
-    assert {one["process"] for one in log if one["event"] == "extension left out"} == {"api", "warm", "job"}
+    assert {one["process"] for one in log if one["event"] == "plug-in left out"} == {"api", "warm", "job"}
 
 
-def test_what_a_file_registered_before_it_failed_is_taken_back(extended: Stack) -> None:
+def test_what_a_plugin_registered_before_it_failed_is_taken_back(extended: Stack) -> None:
     answer = extended.client.post("/v1/jobs", json={"scene": scene(), "attack": {"renderer": "late"}})
     assert answer.status_code == 422
     assert answer.json()["errors"][0]["field"] == "attack.renderer"
@@ -258,8 +264,8 @@ def test_what_a_file_registered_before_it_failed_is_taken_back(extended: Stack) 
     assert extended.ended(extended.submit(QUICK))["state"] == "succeeded"  # fgsm is still the built-in one
 
 
-def test_jobs_of_an_extension_that_is_gone_stay_in_the_record(extended: Stack, redis_url: str, tmp_path: Path) -> None:
-    """A copy of the service's folder, served without the extensions."""
+def test_jobs_of_a_plugin_that_is_gone_stay_in_the_record(extended: Stack, redis_url: str, tmp_path: Path) -> None:
+    """A copy of the service's folder, served without the plug-ins."""
     job_id = extended.submit({"scene": scene()} | JOBS["all three"][0])
     stored = extended.ended(job_id)
     done = cli("backup", str(tmp_path / "copy"), SCENE_ATTACK_DATA=str(extended.data))
@@ -268,7 +274,7 @@ def test_jobs_of_an_extension_that_is_gone_stay_in_the_record(extended: Stack, r
         assert after.get(f"/v1/jobs/{job_id}").json() == stored
         assert after.get("/v1/jobs").json()["items"][0]["id"] == job_id
         assert after.get("/").status_code == after.get(f"/jobs/{job_id}").status_code == 200
-        assert after.get("/readyz").json()["extensions"] == []
+        assert not set(MODULES) & {one["name"] for one in after.get("/readyz").json()["plugins"]}
 
 
 def test_addresses_that_are_not_used_cost_a_job_nothing(extended: Stack) -> None:
