@@ -7,26 +7,20 @@ RUN apt-get update \
     && rm -rf /var/lib/apt/lists/*
 
 WORKDIR /app
-# Packages change seldom: they are a layer of their own.
-COPY requirements.txt requirements-torch.txt pyproject.toml README.md LICENSE NOTICE ./
+# Packages change seldom: they are a layer of their own, and so are meshes and environment maps.
+COPY requirements.txt requirements-torch.txt requirements-build.txt ./
 COPY scripts/setup scripts/
-COPY services/scene_attack/__init__.py services/scene_attack/
-COPY services/scene_attack_service/__init__.py services/scene_attack_service/
-COPY services/scene_attack_questions/__init__.py services/scene_attack_questions/
-COPY services/scene_attack_accuracy/__init__.py services/scene_attack_accuracy/
-COPY api/scene_attack_api/__init__.py api/scene_attack_api/
-COPY worker/scene_attack_worker/__init__.py worker/scene_attack_worker/
 RUN scripts/setup
-# The kernels, for other machines than the one that builds. They lie outside of the cache, which is a volume: a new image
-# brings its own.
+COPY pyproject.toml README.md LICENSE NOTICE ./
 COPY services services
 COPY api api
 COPY worker worker
-ENV SCENE_ATTACK_CACHE=/assets \
-    SCENE_ATTACK_KERNEL_ARCH=portable \
-    SCENE_ATTACK_KERNEL_DIR=/kernels
-RUN .venv/bin/python -m scene_attack assets fetch && chmod -R a+rX /assets
-RUN .venv/bin/python -m scene_attack.rendering.kernels.build
+# A wheel without kernels, which were not compiled, has another name.
+RUN .venv/bin/python -m pip wheel --no-deps --no-build-isolation --wheel-dir /wheel . \
+    && .venv/bin/python -m pip install --no-deps --no-index /wheel/scene_attack-*-linux_*.whl \
+    && .venv/bin/python -m pip uninstall --yes -r requirements-build.txt
+ENV SCENE_ATTACK_CACHE=/assets
+RUN .venv/bin/scene-attack assets fetch && chmod -R a+rX /assets
 
 FROM debian:12-slim AS production
 
@@ -40,18 +34,11 @@ RUN useradd --system --create-home --uid 10001 scene-attack \
 WORKDIR /app
 COPY --from=build --chown=scene-attack /assets /assets
 COPY --from=build /app/.venv .venv
-COPY --from=build /kernels /kernels
-COPY pyproject.toml README.md ./
-COPY services services
-COPY api api
-COPY worker worker
 
 ENV PATH=/app/.venv/bin:$PATH \
     PYTHONDONTWRITEBYTECODE=1 \
     SCENE_ATTACK_CACHE=/assets \
-    SCENE_ATTACK_DATA=/data \
-    SCENE_ATTACK_KERNEL_ARCH=portable \
-    SCENE_ATTACK_KERNEL_DIR=/kernels
+    SCENE_ATTACK_DATA=/data
 USER scene-attack
 EXPOSE 8008
 # Needs a key first, which is in the database: docker run --rm -v data:/data IMAGE scene-attack keys create me --scope admin

@@ -47,16 +47,11 @@ class Options(BaseModel):
         "host may have, separated by commas",
     )
     gl: Literal["auto", "egl", "osmesa"] = Field("auto", description="OpenGL platform; auto tries EGL, then OSMesa")
-    kernel: Literal["auto", "native", "torch"] = Field(
+    kernels: Literal["auto", "v4", "v3", "torch"] = Field(
         "auto",
-        description="what runs inner loops on a CPU; auto takes compiled kernels, torch where there are none",
+        description="what runs inner loops on a CPU: compiled kernels for x86-64-v4 (AVX-512) or x86-64-v3 (AVX2), or "
+        "torch; auto takes the first of them that is there and that the processor can run",
     )
-    kernel_arch: str = Field(
-        "native",
-        pattern=r"^[a-z0-9][a-z0-9+._-]*$",
-        description="processor the kernels are compiled for: native, portable, or a name that g++ -march knows",
-    )
-    kernel_dir: Path | None = Field(None, description="folder of the compiled kernels; default: native in the cache")
     max_upload_bytes: int = Field(32 * 2**20, ge=1, description="largest mesh upload")
     max_faces: int = Field(300_000, ge=1, description="largest mesh, in triangles")
 
@@ -74,7 +69,7 @@ class Options(BaseModel):
                 raise ValueError(f"{part!r} can never match: {refusal}")
         return value
 
-    @field_validator("cache", "data", "targets", "kernel_dir")
+    @field_validator("cache", "data", "targets")
     @classmethod
     def _has_a_home(cls, value: Path | None) -> Path | None:
         try:
@@ -98,11 +93,6 @@ class Options(BaseModel):
     def files(self) -> Path | str:
         """Location of artifacts and uploads: the URL of a store, or the data directory."""
         return self.artifact_url or self.data_dir
-
-    @property
-    def kernel_folder(self) -> Path:
-        """The folder of the compiled kernels, absolute."""
-        return self.cache_dir / "native" if self.kernel_dir is None else self.kernel_dir.expanduser().resolve()
 
     @property
     def target_folder(self) -> Path | None:

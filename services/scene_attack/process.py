@@ -26,9 +26,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 
-ONCE = {"cache": "cache_dir", "kernel_dir": "kernel_folder"} | {
-    name: name for name in ("device", "gl", "kernel", "kernel_arch")
-}
+ONCE = {"cache": "cache_dir", "device": "device", "gl": "gl", "kernels": "kernels"}
 """The options of which a process has one value, each with the attribute that holds it, a path being absolute there."""
 
 ALLOCATOR = {

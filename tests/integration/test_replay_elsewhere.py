@@ -58,7 +58,6 @@ def elsewhere(home: Path, *arguments: str, **environ: str) -> "subprocess.Comple
     ours = {name: value for name, value in os.environ.items() if not name.startswith(("SCENE_ATTACK_", "XDG_"))}
     mine = Settings()
     ours["SCENE_ATTACK_THREADS"] = str(mine.threads)  # part of what decides the bits
-    ours["SCENE_ATTACK_KERNEL_DIR"] = str(mine.kernel_folder)  # to compile them again takes half a minute
     command = [sys.executable, "-m", "scene_attack", *arguments]
     return subprocess.run(
         command, env=ours | {"HOME": str(home)} | environ, capture_output=True, text=True, check=False, timeout=300

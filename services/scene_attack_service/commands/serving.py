@@ -26,12 +26,12 @@ WorkersOption = Annotated[int | None, typer.Option("--workers", "-w", help="Job 
 def serving_settings(**options: str | int | Path | None) -> Settings:
     """The settings of a service, whose device and kernels are there. Names the variables that are no settings."""
     from scene_attack.process import check_device, use
-    from scene_attack.rendering.kernels.build import check_kernels
+    from scene_attack.rendering.kernels import levels
 
     settings = read_settings(**options)
     for name, error in unknown_variables(os.environ).items():
         print(f"scene-attack: {name} is left out: {error}", file=sys.stderr)
     use(settings)
     check_device()
-    check_kernels()
+    levels.level()  # refuses kernels that are asked for and not there: each job would fail
     return settings

@@ -1,1 +1,1 @@
-"""The compiled kernels (C++), their build and their loading."""
+"""The compiled kernels (C++), the choice among them, and their loading."""

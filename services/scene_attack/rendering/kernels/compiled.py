@@ -1,8 +1,8 @@
 """Loads the compiled kernels of shading and rasterising, once per process, and calls them.
 
-Without them the same sums run in torch, about ten times slower, and OpenGL draws all images; `SCENE_ATTACK_KERNEL`
-selects. The kernels call no Python and use `torch.get_num_threads()` threads, whose number never changes their bits.
-They run on the CPU only: tensors on another device are computed by torch.
+Without them the same sums run in torch, several times slower, and OpenGL draws all images; the option `kernels`
+selects (levels.py). The kernels call no Python and use `torch.get_num_threads()` threads, whose number never changes
+their bits. They run on the CPU only: tensors on another device are computed by torch.
 
 The C++ sources export a text table (`layout.h`): the argument types of every function, and the size of every structure
 with the name, offset, size and type of each field. Nothing here repeats a layout, so that a field that is moved in the
@@ -11,7 +11,7 @@ compared; a sequence becomes an array; a structure is made by `structure` from v
 """
 
 import ctypes
-import subprocess
+import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -22,9 +22,8 @@ import structlog
 import torch
 from torch import Tensor
 
-from scene_attack.errors import JobFailure
 from scene_attack.process import options
-from scene_attack.rendering.kernels import build
+from scene_attack.rendering.kernels import levels
 
 SCALARS: dict[str, Any] = {
     "float32": ctypes.c_float,
@@ -174,45 +173,41 @@ NAMES = {torch.float32: "float", torch.float64: "double"}
 
 @dataclass(frozen=True)
 class Library:
-    """The loaded kernels: their functions by name, their exported layouts, and the identity of their manifest."""
+    """The loaded kernels: their functions by name, their exported layouts, and what a backend string says of them."""
 
     functions: Mapping[str, Callable[..., None]]
     exports: Exports
-    identity: str
+    name: str
+    """The level and sixteen digits of the SHA-256 of the library's bytes: the same sources, flags and compiler give the
+    same bytes, in a wheel and in a checkout."""
 
 
 @lru_cache(maxsize=1)
 def library() -> Library | None:
-    """Returns the loaded kernels, compiled first if necessary (about 10 s); None if torch computes instead.
+    """Returns the loaded kernels; None if torch computes instead.
 
-    Raises JobFailure("internal") if SCENE_ATTACK_KERNEL=native and there are no kernels, LayoutError if Python's
-    structures differ from the library's.
+    Raises InvalidRequest, naming the setting, if SCENE_ATTACK_KERNELS asks for a level that cannot be loaded;
+    LayoutError if Python's structures differ from the library's.
     """
-    kernel = options().kernel
-    if kernel == "torch":
+    level = levels.level()
+    if level is None:
+        if options().kernels == "auto":
+            structlog.get_logger().warning("no kernels: torch does their work, more slowly", reason=levels.why_none())
         return None
-    try:
-        path, manifest = build.library_path()
-        loaded = ctypes.CDLL(str(path))
-    except (OSError, subprocess.CalledProcessError) as error:
-        reason = error.stderr if isinstance(error, subprocess.CalledProcessError) else str(error)
-        if kernel == "native":
-            raise JobFailure("internal", f"there are no kernels: {reason}") from error
-        structlog.get_logger().warning("no kernels: torch does their work, some ten times slower", error=reason)
-        return None
-    return _described(loaded, manifest.identity)
+    path = levels.library_path(level)
+    return _described(ctypes.CDLL(str(path)), f"{level} {hashlib.sha256(path.read_bytes()).hexdigest()[:16]}")
 
 
-def _described(loaded: ctypes.CDLL, identity: str) -> Library:
+def _described(loaded: ctypes.CDLL, name: str) -> Library:
     """Sets the functions' argument types from the library's own table."""
     table = loaded.layout_table
     table.argtypes, table.restype = [], ctypes.c_char_p
     exports = parse(table().decode())
     functions = {}
-    for name, words in exports.functions.items():
-        functions[name] = loaded[name]
-        functions[name].argtypes, functions[name].restype = argument_types(words), None
-    return Library(functions, exports, identity)
+    for function, words in exports.functions.items():
+        functions[function] = loaded[function]
+        functions[function].argtypes, functions[function].restype = argument_types(words), None
+    return Library(functions, exports, name)
 
 
 def runs(values: Tensor) -> bool:
@@ -221,9 +216,9 @@ def runs(values: Tensor) -> bool:
 
 
 def backend() -> str:
-    """Returns the CPU implementation for the backend string: "torch", or "native" and the kernels' identity."""
+    """Returns the CPU implementation for the backend string: "torch", or "native" with the level and the hash."""
     loaded = library()
-    return "torch" if loaded is None else f"native {loaded.identity}"
+    return "torch" if loaded is None else f"native {loaded.name}"
 
 
 def structure(name: str, **values: object) -> ctypes.Structure:

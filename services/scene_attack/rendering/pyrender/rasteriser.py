@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from scene_attack.rendering.kernels import compiled
+from scene_attack.rendering.kernels import compiled, levels
 from scene_attack.rendering.opengl.camera import RenderPass, n_watertight_faces, ordered
 from scene_attack.scenes.view import clipped
 
@@ -33,7 +33,7 @@ GUARD = 1.5
 def refusal(drawing: "Drawing", lit: RenderPass) -> str | None:
     """Returns the reason why the rasteriser cannot draw this scene in this light, as a clause; None if it can."""
     if compiled.library() is None:
-        return "there are no compiled kernels"
+        return f"there are no compiled kernels ({levels.why_none()})"
     materials = [piece.metallic_roughness for piece in drawing.pieces]
     if any(material is not None and not material.given for material in materials):
         return "it does not know the materials of glTF files"

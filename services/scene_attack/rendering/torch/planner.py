@@ -17,6 +17,7 @@ import torch
 from torch import Tensor
 
 from scene_attack.rendering.color import to_display
+from scene_attack.rendering.kernels import compiled, levels
 from scene_attack.rendering.plan import GradientError, Item, Plan, Stage, Tolerance
 from scene_attack.rendering.torch import dsbrdf
 from scene_attack.rendering.torch.declaration import TORCH
@@ -497,6 +498,9 @@ def compile_plan(
         items.append(Item(what="objects", kept=objects - unseen, of=objects, why="the others are seen by no pixel"))
     items += shadow_items(surfaces)
     items += ignored
+    if all(surface.angles.device.type == "cpu" for surface in surfaces) and compiled.library() is None:
+        why = f"torch shades, several times slower: {levels.why_none()}"
+        items.append(Item(what="compiled kernels", kept=0, of=1, why=why))
     why = "the other groups keep their values" if len(groups) < len(TORCH.groups) else "all are attacked"
     items.append(Item(what="gradients", kept=len(groups), of=len(TORCH.groups), why=why))
     for surface in surfaces:

@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 import torch
 
-from scene_attack.rendering.kernels import build, compiled
+from scene_attack.rendering.kernels import compiled
 
 pytestmark = pytest.mark.slow
+
+SOURCES = Path(compiled.__file__).with_name("src")
 
 TABLE = """structure Inner 16
 field a 0 8 float64
@@ -93,7 +95,7 @@ def test_a_structure_of_another_kind_is_refused() -> None:
 @pytest.mark.skipif(shutil.which("g++") is None, reason="no C++ compiler")
 def test_a_field_moved_in_the_sources_is_moved_here(tmp_path: Path) -> None:
     for pattern in ("*.h", "layout.cpp", "perspective*.cpp"):
-        for path in build.SOURCES.glob(pattern):
+        for path in SOURCES.glob(pattern):
             shutil.copy(path, tmp_path)
     source = (tmp_path / "perspective.h").read_text()
     swapped = source.replace("const T *normals, *viewers;", "const T *viewers, *normals;")
