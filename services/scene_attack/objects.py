@@ -312,8 +312,7 @@ def _data(field: str, given: object) -> dict[str, Any]:
     from pydantic import BaseModel
 
     if isinstance(given, BaseModel):
-        kind = {"method": given.method} if hasattr(given, "method") else {}
-        return given.model_dump(mode="json", exclude_unset=True) | kind
+        return given.model_dump(mode="json", exclude_unset=True)
     if isinstance(given, Mapping):
         return dict(given)
     detail = f"must be an object such as sa.Scene, or a dictionary as a request has it, not {type(given).__name__}"

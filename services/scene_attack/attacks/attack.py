@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Mapping
 from math import isfinite, sqrt
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, TypeVar, get_args, get_origin
 
-from pydantic import Field, ValidationInfo, field_validator, model_validator
+from pydantic import Field, ModelWrapValidatorHandler, ValidationInfo, field_validator, model_validator
 
 from scene_attack.attacks.request import Expectation, Loss
 from scene_attack.plugins import Registry
@@ -189,6 +189,18 @@ class Attack(Model):
     @classmethod
     def _complete(cls, data: Any) -> Any:
         return cls.complete(_completed(cls, data)) if isinstance(data, dict) else data
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _stated(cls, data: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
+        """Counts as set what was given, and the method, but not what is filled in: written without unset fields, an
+        attack is the request that it was read from.
+        """
+        attack = handler(data)
+        if isinstance(data, dict):
+            attack.__pydantic_fields_set__.intersection_update(data)
+            attack.__pydantic_fields_set__.add("method")
+        return attack
 
     @field_validator("renderer")
     @classmethod
