@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import html
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from io import BytesIO
@@ -19,14 +19,19 @@ from scene_attack.errors import InvalidFields, InvalidRequest
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
+    from pandas import DataFrame
     from torch import Tensor, nn
 
+    from scene_attack.analysis.campaign_table import Table
     from scene_attack.analysis.records import Answer
     from scene_attack.attacks.attack import Attack
     from scene_attack.options import Options
     from scene_attack.rendering.plan import Plan, Tolerance
     from scene_attack.rendering.protocol import Renderer
     from scene_attack.runs import result as runs
+    from scene_attack.runs.campaign_plan import CampaignResult
+    from scene_attack.runs.campaign_run import CampaignProgress
+    from scene_attack.runs.campaign_spec import CampaignSpec
     from scene_attack.runs.execute import Progress
     from scene_attack.runs.replay import Replay
     from scene_attack.runs.spec import Goal, JobSpec
@@ -291,6 +296,95 @@ def renderer(
 
     owned: Any = Owned(run(work))
     return owned  # type: ignore[no-any-return]
+
+
+@dataclass(frozen=True)
+class CampaignRun:
+    """A campaign that has ended: its record, which is the content of `table.json`, and the folder with its files."""
+
+    record: CampaignResult
+    folder: Path
+
+    @property
+    def table(self) -> Table:
+        """The paper's table: a cell for each network and attack."""
+        return self.record.table
+
+    @property
+    def results(self) -> list[Result]:
+        """The results of the jobs that ran to their end, in the order in which they were planned. Read when asked for."""
+        from scene_attack.cli.campaigns import folder_results
+
+        return [load(folder) for _, folder in folder_results(self.folder)]
+
+    def to_frame(self) -> DataFrame:
+        """A DataFrame with a line for each result: what was attacked, both answers, the outcome, p and the cost.
+
+        Raises ImportError, which says how to install pandas, where it is not.
+        """
+        from scene_attack.client.client import pandas_module
+        from scene_attack.runs.spec import attack_name, scene_name
+
+        records: Any = [result.record for result in self.results]
+        rows = [
+            {
+                "scene": scene_name(record.spec),
+                "azimuth": record.spec["scene"]["camera"]["azimuth"],
+                "target": record.spec["target"]["name"],
+                "attack": attack_name(record.spec),
+                "seed": record.spec["seed"],
+                "original": record.original.label,
+                "attacked": record.attacked.label,
+                "outcome": record.outcome,
+                "verified": record.verified,
+                "p": record.p,
+                "queries": record.cost.queries,
+                "seconds": record.cost.seconds,
+            }
+            for record in records
+        ]
+        return pandas_module().DataFrame.from_records(rows)
+
+
+def campaign(
+    campaign: CampaignSpec | Mapping[str, Any],
+    out: Path | str,
+    *,
+    targets: Sequence[Network] = (),
+    progress: Callable[[CampaignProgress], None] = lambda _: None,
+    options: Options | None = None,
+) -> CampaignRun:
+    """Runs the jobs of a campaign, one after another, and writes their files into the folder `out`.
+
+    Run again with the same folder, it goes on with what is left. `campaign` names networks; `targets` are those of this
+    process among them, each with a name of its own (`target`). `progress` is called after each view and before each
+    job. A job that fails is a case without success. Raises as `attack` does.
+    """
+    from scene_attack.cli.result_folder import prepare_folder
+    from scene_attack.cli.specs import local_library, parsed
+    from scene_attack.owner import run
+    from scene_attack.runs.campaign_run import run_campaign
+    from scene_attack.runs.campaign_spec import parse
+    from scene_attack.runs.check import check_samples, check_size
+    from scene_attack.runs.prepare import prepare
+
+    chosen = _set_up(options)
+    made = [_target(network) for network in targets]
+    data = _data("campaign", campaign)
+
+    def work(interrupted: Callable[[], bool]) -> CampaignRun:
+        with ExitStack() as known:
+            for one in made:
+                known.enter_context(_known(one))
+            spec, library, folder = parsed(parse, data, Path.cwd(), chosen), local_library(chosen), Path(out)
+            check_size(spec)
+            prepare_folder(folder, "out")
+            check_samples(spec, lambda job: prepare(job, library))
+            record = run_campaign(spec, folder, library, progress=progress, cancelled=interrupted)
+            disk.write(folder / "table.json", f"{record.model_dump_json(indent=1)}\n".encode())
+            return CampaignRun(record, folder)
+
+    return run(work)
 
 
 def _files(folder: Path) -> dict[str, bytes]:

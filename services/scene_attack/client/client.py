@@ -71,12 +71,17 @@ class Rows(list[Row], Generic[Row]):
 
     def to_frame(self) -> DataFrame:
         """A DataFrame with a line for each row. Needs pandas: `pip install scene-attack[pandas]`."""
-        try:
-            import pandas
-        except ImportError as error:
-            message = "a DataFrame needs pandas: pip install 'scene-attack[pandas]'; the rows themselves need it not"
-            raise ImportError(message) from error
-        return pandas.DataFrame.from_records([row.model_dump() for row in self])
+        return pandas_module().DataFrame.from_records([row.model_dump() for row in self])
+
+
+def pandas_module() -> Any:
+    """The module pandas. Raises ImportError, which says how to install it."""
+    try:
+        import pandas
+    except ImportError as error:
+        message = "a DataFrame needs pandas: pip install 'scene-attack[pandas]'; the rows themselves need it not"
+        raise ImportError(message) from error
+    return pandas
 
 
 class Images(Generic[Loaded]):
