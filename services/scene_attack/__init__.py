@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from scene_attack.runs.spec import JobSpec as Spec
     from scene_attack.scenes.description import Camera, Environment, Floor, Lights, PointLight, Scene
     from scene_attack.scenes.description import SceneObject as Object
+    from scene_attack.scenes.mesh_arrays import MeshArrays as Mesh
     from scene_attack.targets.custom.card import Preprocessing
     from scene_attack.targets.protocol import Target
 
@@ -64,6 +65,7 @@ __all__ = [
     "Job",
     "JobFailure",
     "Lights",
+    "Mesh",
     "NaturalGradient",
     "Object",
     "Options",
@@ -91,6 +93,7 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 _PLACES = {
     **dict.fromkeys(("Scene", "Camera", "Lights", "PointLight", "Environment", "Floor"), "scenes.description"),
     "Object": "scenes.description:SceneObject",
+    "Mesh": "scenes.mesh_arrays:MeshArrays",
     "Target": "targets.protocol",
     "Preprocessing": "targets.custom.card",
     "FGSM": "attacks.fgsm",

@@ -68,7 +68,9 @@ class Seen:
 
 @dataclass(frozen=True, repr=False)
 class Result:
-    """What an attack came to: its record, which is the `result` of a job, and the files that `run --out` writes."""
+    """What an attack came to: its record, which is the `result` of a job, and the files that `run --out` writes, by
+    their paths. With a mesh of one's own these have the scene's meshes and map, too.
+    """
 
     record: runs.Result
     files: Mapping[str, bytes]
@@ -150,7 +152,7 @@ class Result:
         def work(_: Callable[[], bool]) -> Replay:
             with _known(made), TemporaryDirectory() as folder:
                 for file, data in self.files.items():
-                    (Path(folder) / file).write_bytes(data)
+                    disk.write(Path(folder) / file, data)
                 return replay(Path(folder), local_library(chosen), chosen)
 
         return run(work)
@@ -228,9 +230,9 @@ def attack(
     Each argument is an object, or what a request has in its place (docs/reference/fields.md). `target` is a network of
     this process (see `target`), the name of one that `scene-attack targets` lists, or a request's `target`. `others`
     are further fields of a request: `tolerance`, `analysis`, and, with None for the scene, `record` or `generate`. A
-    `mesh` may be a path relative to the working directory, "./chair.obj". With `out`, the files are written into that
-    folder while the attack runs; it may hold no other job's result. `options` default to those of the SCENE_ATTACK_
-    variables. Raises InvalidRequest, which names the field or the argument, for anything that cannot run, and
+    `mesh` may be a path relative to the working directory, "./chair.obj", or `sa.Mesh`. With `out`, the files are
+    written into that folder while the attack runs; it may hold no other job's result. `options` default to those of the
+    SCENE_ATTACK_ variables. Raises InvalidRequest, which names the field or the argument, for anything that cannot run, and
     JobFailure for a run that fails.
 
     It may be called from several threads: attacks run one after the other (`scene_attack.owner`).
@@ -239,6 +241,7 @@ def attack(
     from scene_attack.cli.specs import local_library
     from scene_attack.owner import run
     from scene_attack.runs.execute import execute
+    from scene_attack.scenes.exported_assets import write_assets
 
     chosen = _set_up(options)
     given = {"scene": scene, "attack": attack, "goal": goal}
@@ -260,7 +263,10 @@ def attack(
             if out is not None:
                 check_free(folder, spec, "out", network)
                 prepare_folder(folder, "out")
-            record = execute(spec, folder, local_library(chosen), progress=progress, cancelled=interrupted)
+            library = local_library(chosen)
+            record = execute(spec, folder, library, progress=progress, cancelled=interrupted)
+            if any(library.has_upload(thing.mesh) for thing in spec.scene.objects):  # no other machine has it
+                write_assets(spec.scene, library, lambda name, data: disk.write(folder / name, data))
             return Result(record, _files(folder))
 
     return run(work)
@@ -312,7 +318,7 @@ class CampaignRun:
 
     @property
     def results(self) -> list[Result]:
-        """The results of the jobs that ran to their end, in the order in which they were planned. Read when asked for."""
+        """The results of the jobs that ran to their end, in their order in the plan. They are read anew each time."""
         from scene_attack.cli.campaigns import folder_results
 
         return [load(folder) for _, folder in folder_results(self.folder)]
@@ -388,7 +394,8 @@ def campaign(
 
 
 def _files(folder: Path) -> dict[str, bytes]:
-    return {path.name: path.read_bytes() for path in sorted(folder.iterdir()) if path.is_file()}
+    files = (path for path in sorted(folder.rglob("*")) if path.is_file())
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in files}
 
 
 def _set_up(options: Options | None) -> Options:
@@ -402,11 +409,11 @@ def _set_up(options: Options | None) -> Options:
 
 
 def _data(field: str, given: object) -> dict[str, Any]:
-    """A part of a request as JSON data. Raises InvalidRequest for what is neither an object nor a dictionary."""
+    """A part of a request as data. Raises InvalidRequest for what is neither an object nor a dictionary."""
     from pydantic import BaseModel
 
     if isinstance(given, BaseModel):
-        return given.model_dump(mode="json", exclude_unset=True)
+        return given.model_dump(exclude_unset=True)  # as Python data, in which a mesh of arrays has them still
     if isinstance(given, Mapping):
         return dict(given)
     detail = f"must be an object such as sa.Scene, or a dictionary as a request has it, not {type(given).__name__}"

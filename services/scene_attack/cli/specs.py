@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from scene_attack.errors import InvalidFields, InvalidRequest
+from scene_attack.scenes.mesh_arrays import MeshArrays
 from scene_attack.strict import NotJson, read_json
 
 if TYPE_CHECKING:
@@ -22,8 +23,10 @@ if TYPE_CHECKING:
 
 
 Spec = TypeVar("Spec")
-Adding = Callable[[Path], tuple[str, Sequence[str]]]
-"""Adds the mesh in a file. Returns its name in a scene, and the parts that are not shown. Raises InvalidRequest."""
+Adding = Callable[[Path | MeshArrays], tuple[str, Sequence[str]]]
+"""Adds the mesh in a file, or that of arrays. Returns its name in a scene, and the parts that are not shown. Raises
+InvalidRequest.
+"""
 _PLACES = (
     "scene.objects.*.mesh",
     "jobs.*.scene.objects.*.mesh",
@@ -93,7 +96,7 @@ def folder_of(spec: str) -> Path:
 
 
 def with_meshes_added(data: dict[str, Any], folder: Path, add: Adding) -> tuple[dict[str, Any], dict[str, str]]:
-    """Adds the meshes that a job or a campaign names by paths relative to `folder`, each file once.
+    """Adds the meshes that a job or a campaign names by paths relative to `folder`, or has as arrays, each once.
 
     Returns the request with their names, and of each mesh that could not be added, because there is no such file or it
     is no mesh, the reason. Those are left as they are, and so is a file's name that is written as no path. What a mesh
@@ -103,12 +106,12 @@ def with_meshes_added(data: dict[str, Any], folder: Path, add: Adding) -> tuple[
     not_added: dict[str, str] = {}
 
     def named(mesh: str, _: str) -> str:
-        if not is_path(mesh):
+        if not isinstance(mesh, MeshArrays) and not is_path(mesh):
             if not mesh.startswith(_NAMED) and (folder / mesh).is_file():
                 not_added[mesh] = f"there is no mesh {mesh!r}; a file beside the spec is written './{mesh}'"
         elif mesh not in added and mesh not in not_added:
             try:
-                added[mesh], notes = add(folder / mesh)
+                added[mesh], notes = add(mesh if isinstance(mesh, MeshArrays) else folder / mesh)
             except InvalidRequest as error:
                 not_added[mesh] = f"{mesh}: {error.detail}"
             else:
@@ -171,8 +174,9 @@ def is_path(mesh: object) -> bool:
 def to_library(options: "Options") -> Adding:
     """Returns a function that adds a mesh to the uploads of this machine."""
 
-    def add(path: Path) -> tuple[str, Sequence[str]]:
-        entry = local_library(options).add(bundle_at(path, options), options)
+    def add(mesh: Path | MeshArrays) -> tuple[str, Sequence[str]]:
+        bundle = mesh.bundle if isinstance(mesh, MeshArrays) else bundle_at(mesh, options)
+        entry = local_library(options).add(bundle, options)
         return entry.name, entry.notes
 
     return add

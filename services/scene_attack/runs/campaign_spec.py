@@ -39,7 +39,18 @@ from scene_attack.runs.spec import (
     with_method,
 )
 from scene_attack.scenes import furniture
-from scene_attack.scenes.description import Angle, Camera, Colour, Lights, Model, Pixels, Scene, SceneObject, absent
+from scene_attack.scenes.description import (
+    Angle,
+    Camera,
+    Colour,
+    Lights,
+    MeshName,
+    Model,
+    Pixels,
+    Scene,
+    SceneObject,
+    absent,
+)
 from scene_attack.strict import Names, reference
 from scene_attack.text import line, there_are
 from scene_attack_questions.clevr.description import describe
@@ -73,9 +84,7 @@ class RandomViews(Model):
 class SceneGrid(Model):
     """One object per scene: meshes × azimuths. All scenes have the same camera, lights, ground and material."""
 
-    meshes: tuple[Annotated[str, Field(min_length=1, max_length=200), reference("mesh")], ...] = Field(
-        (), max_length=MAX_LISTED, description="names of meshes"
-    )
+    meshes: tuple[MeshName, ...] = Field((), max_length=MAX_LISTED, description="names of meshes")
     kinds: tuple[str, ...] = Field(
         (), max_length=100, description="kinds of library furniture, all meshes of which are added"
     )

@@ -11,8 +11,17 @@ from math import pi
 from pathlib import PurePath
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, ValidationInfo, field_validator
+from pydantic import (
+    AfterValidator,
+    ConfigDict,
+    Field,
+    ValidationInfo,
+    ValidatorFunctionWrapHandler,
+    WrapValidator,
+    field_validator,
+)
 
+from scene_attack.scenes.mesh_arrays import MeshArrays
 from scene_attack.strict import Strict, reference
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -78,19 +87,21 @@ class Camera(Model):
     )
 
 
-def _as_written(mesh: object) -> object:
-    """A path as a request writes it: one that is relative to a folder begins with "./"."""
-    if not isinstance(mesh, PurePath):
-        return mesh
-    return str(mesh) if mesh.is_absolute() else f"./{mesh}"
+def _as_written(mesh: object, handler: ValidatorFunctionWrapHandler) -> Any:
+    """A path as a request writes it: one that is relative to a folder begins with "./". Arrays stay with their name."""
+    if isinstance(mesh, PurePath):
+        mesh = str(mesh) if mesh.is_absolute() else f"./{mesh}"
+    name = handler(mesh)
+    return mesh if isinstance(mesh, MeshArrays) else name
+
+
+MeshName = Annotated[str, Field(min_length=1, max_length=200), reference("mesh"), WrapValidator(_as_written)]
 
 
 class SceneObject(Model):
     """A mesh in the scene, with its surface and its pose."""
 
-    mesh: Annotated[str, reference("mesh"), BeforeValidator(_as_written)] = Field(
-        min_length=1,
-        max_length=200,
+    mesh: MeshName = Field(
         description="`furniture/<slug>`, `primitive/<name>`, or the id of an uploaded mesh (`sha256:<hex>`)",
     )
     material: Annotated[str, reference("material")] = Field(
