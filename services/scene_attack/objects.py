@@ -232,8 +232,8 @@ def attack(
     are further fields of a request: `tolerance`, `analysis`, and, with None for the scene, `record` or `generate`. A
     `mesh` may be a path relative to the working directory, "./chair.obj", or `sa.Mesh`. With `out`, the files are
     written into that folder while the attack runs; it may hold no other job's result. `options` default to those of the
-    SCENE_ATTACK_ variables. Raises InvalidRequest, which names the field or the argument, for anything that cannot run, and
-    JobFailure for a run that fails.
+    SCENE_ATTACK_ variables. Raises InvalidRequest, which names the field or the argument, for anything that cannot run,
+    and JobFailure for a run that fails.
 
     It may be called from several threads: attacks run one after the other (`scene_attack.owner`).
     """
@@ -241,11 +241,12 @@ def attack(
     from scene_attack.cli.specs import local_library
     from scene_attack.owner import run
     from scene_attack.runs.execute import execute
+    from scene_attack.runs.spec import as_data
     from scene_attack.scenes.exported_assets import write_assets
 
     chosen = _set_up(options)
     given = {"scene": scene, "attack": attack, "goal": goal}
-    fields = {"seed": seed} | others | {name: _data(name, one) for name, one in given.items() if one is not None}
+    fields = {"seed": seed} | others | {name: as_data(name, one) for name, one in given.items() if one is not None}
     made = network = None
     if isinstance(target, str):
         fields["target"] = {"name": target}
@@ -290,10 +291,11 @@ def renderer(
     from scene_attack.owner import Owned, run
     from scene_attack.rendering.factory import build
     from scene_attack.rendering.plan import DEFAULT_TOLERANCE
+    from scene_attack.runs.spec import as_data
     from scene_attack.scenes.resolve import resolve
 
     chosen = _set_up(options)
-    fields = {"scene": _data("scene", scene)}
+    fields = {"scene": as_data("scene", scene)}
     within = DEFAULT_TOLERANCE if tolerance is None else tolerance
 
     def work(_: Callable[[], bool]) -> Renderer:
@@ -373,10 +375,11 @@ def campaign(
     from scene_attack.runs.campaign_spec import parse
     from scene_attack.runs.check import check_samples, check_size
     from scene_attack.runs.prepare import prepare
+    from scene_attack.runs.spec import as_data
 
     chosen = _set_up(options)
     made = [_target(network) for network in targets]
-    data = _data("campaign", campaign)
+    data = as_data("campaign", campaign)
 
     def work(interrupted: Callable[[], bool]) -> CampaignRun:
         with ExitStack() as known:
@@ -406,18 +409,6 @@ def _set_up(options: Options | None) -> Options:
     chosen = read_options() if options is None else options
     run(lambda _: set_up(chosen))
     return chosen
-
-
-def _data(field: str, given: object) -> dict[str, Any]:
-    """A part of a request as data. Raises InvalidRequest for what is neither an object nor a dictionary."""
-    from pydantic import BaseModel
-
-    if isinstance(given, BaseModel):
-        return given.model_dump(exclude_unset=True)  # as Python data, in which a mesh of arrays has them still
-    if isinstance(given, Mapping):
-        return dict(given)
-    detail = f"must be an object such as sa.Scene, or a dictionary as a request has it, not {type(given).__name__}"
-    raise InvalidRequest(field, detail)
 
 
 def _spec(fields: dict[str, Any], options: Options) -> JobSpec:

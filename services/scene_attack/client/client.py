@@ -27,10 +27,11 @@ from pydantic import BaseModel, ValidationError
 from scene_attack import disk
 from scene_attack.client import DEFAULT_URL, operations
 from scene_attack.client.errors import Unfinished, refusal
+from scene_attack.client.meshes import sent
 from scene_attack.client.operations import Answer, JobFilter, Request, Submission
 from scene_attack.client.states import State
 from scene_attack.errors import InvalidRequest
-from scene_attack.runs.spec import RerenderingView
+from scene_attack.runs.spec import NOT_SENT, RerenderingView, as_data
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -403,6 +404,24 @@ class Client:
             if not stream.ended():
                 sleep(stream.pause())
 
+    def submit(
+        self,
+        spec: JobSpec | Mapping[str, Any],
+        *,
+        folder: Path | str = "",
+        say: Callable[[str], None] = lambda _: None,
+        **asked: Unpack[Submission],
+    ) -> Job:
+        """Uploads the meshes of one's own that a request has and the service lacks, and queues the job.
+
+        `spec` is sa.Spec or what it says as a dictionary, whose parts may be objects. A mesh is a path relative to
+        `folder` (default: the working directory), or sa.Mesh. `say` is told what is uploaded. Raises InvalidFields,
+        which has every wrong field, for a mesh that cannot be uploaded, InvalidRequest for a network or a renderer of
+        this process, and ApiError as `submit_job` does.
+        """
+        data = _portable(spec)
+        return Job(sent(data, Path.cwd() / folder, self, lambda data: operations.submit_job(data, **asked), say), self)
+
     def submit_job(self, spec: JobSpec | Mapping[str, Any], **asked: Unpack[Submission]) -> Job:
         """Queues a job; ApiError with status 422 names every invalid field."""
         return Job(self.call(operations.submit_job(spec, **asked)), self)
@@ -527,6 +546,18 @@ class AsyncClient:
         and what is said of it: `name`, `up`, `licence` and `credit`.
         """
         return await self.call(operations.upload_asset([Path(path)], kind, **about))
+
+
+def _portable(spec: JobSpec | Mapping[str, Any]) -> dict[str, Any]:
+    """A request as data. Raises InvalidRequest for a part that only this process has."""
+    data = as_data("spec", spec)
+    for field, part in data.items():
+        if hasattr(part, "logits") or callable(part):
+            raise InvalidRequest(field, NOT_SENT)
+        if hasattr(part, "render"):
+            detail = "a renderer of this process cannot be sent: send its scene, and name it as the attack's `renderer`"
+            raise InvalidRequest(field, detail)
+    return {field: as_data(field, part) if isinstance(part, BaseModel) else part for field, part in data.items()}
 
 
 def _connection(url: str | None, key: str | None) -> dict[str, Any]:

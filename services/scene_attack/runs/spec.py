@@ -338,6 +338,13 @@ class JobSpec(Model):
             raise ValueError(detail) from error
         return value
 
+    @field_validator("target", mode="before")
+    @classmethod
+    def _named(cls, value: Any) -> Any:
+        if hasattr(value, "logits") or callable(value):
+            raise ValueError(NOT_SENT)
+        return value
+
     @field_validator("goal")
     @classmethod
     def _known_labels(cls, value: Goal, info: ValidationInfo) -> Goal:
@@ -443,6 +450,26 @@ def _index(label: str | int, labels: tuple[str, ...], field: str, target: str) -
     if label not in labels:
         raise InvalidRequest(field, f"{target} has no label {label!r}{did_you_mean(label, labels)}")
     return labels.index(label)
+
+
+NOT_SENT = (
+    "a network of this process is no part of a request: pass it to sa.attack, or save it by target.save(folder) and "
+    "give the folder's name"
+)
+"""The sentence about a network where its name is due."""
+
+
+def as_data(field: str, given: object) -> dict[str, Any]:
+    """A request, or a part of it, as data: an object's fields that were set, or the dictionary itself.
+
+    A mesh of arrays has its bytes still. Raises InvalidRequest(field) for what is neither.
+    """
+    if isinstance(given, BaseModel):
+        return given.model_dump(exclude_unset=True)
+    if isinstance(given, Mapping):
+        return dict(given)
+    detail = f"must be an object such as sa.Scene, or a dictionary as a request has it, not {type(given).__name__}"
+    raise InvalidRequest(field, detail)
 
 
 AnyModel = TypeVar("AnyModel", bound=BaseModel)

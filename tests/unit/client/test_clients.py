@@ -2,15 +2,19 @@
 
 import asyncio
 import io
+import json
 import sys
 from http.server import BaseHTTPRequestHandler
 from pathlib import Path
+from types import SimpleNamespace
 
 import httpx
 import numpy as np
 import PIL.Image
 import pytest
+import torch
 
+import scene_attack as sa
 from scene_attack import ApiError, AsyncClient, Client, Unfinished, images
 from scene_attack.client import operations
 from scene_attack.client.client import AsyncJob
@@ -21,6 +25,7 @@ from tests.unit.client.scripted_service import (
     EXAMPLES,
     RUNNING,
     SUCCEEDED,
+    UPLOADED,
     Answer,
     Script,
     client,
@@ -331,3 +336,41 @@ def test_the_key_and_the_url_may_be_given(client: Client, script: Script, monkey
     assert script.seen[0][2]["Authorization"] == "Bearer sa_mine"
     with pytest.raises(InvalidRequest, match="no address of a service"):
         Client("localhost:8008")
+
+
+CORNERS = sa.Mesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
+
+
+@pytest.mark.parametrize("lacks", [True, False])
+def test_submit_uploads_a_mesh_that_the_service_lacks(client: Client, script: Script, lacks: bool) -> None:
+    uploaded = UPLOADED | {"name": str(CORNERS)}
+    missing = says(404, {"detail": "there is no such upload"}, "application/problem+json")
+    script.answers = [*([missing, says(201, uploaded)] if lacks else [says(200, uploaded)]), says(202, job())]
+    scene = sa.Scene(objects=[sa.Object(mesh=CORNERS)])
+    submitted = client.submit(sa.Spec(scene=scene, attack=sa.FGSM(renderer="image", steps=3)), priority="high")
+    assert submitted.id == ID
+    look = f"GET /v1/assets/{CORNERS.removeprefix('sha256:')}"
+    assert script.paths == [look, *(["POST /v1/assets"] if lacks else []), "POST /v1/jobs?priority=high"]
+    assert json.loads(script.bodies[-1]) == {
+        "scene": {"objects": [{"mesh": str(CORNERS)}]},
+        "attack": {"method": "fgsm", "renderer": "image", "steps": 3},
+    }
+    assert not lacks or CORNERS.bundle.data in script.bodies[1]
+
+
+def test_submit_refuses_what_only_this_process_has(client: Client, script: Script) -> None:
+    network = torch.nn.Sequential(torch.nn.Flatten(), torch.nn.Linear(192, 3))
+    scene = sa.Scene(objects=[sa.Object(mesh="primitive/cube")])
+    for made in (network, sa.target(network, preprocessing={"input_size": [8, 8]})):
+        with pytest.raises(sa.InvalidRequest, match=r"save it by target\.save\(folder\)") as refused:
+            client.submit({"scene": scene, "target": made})
+        assert refused.value.field == "target"
+        with pytest.raises(ValueError, match=r"save it by target\.save\(folder\)"):
+            sa.Spec(scene=scene, target=made)
+    with pytest.raises(sa.InvalidRequest, match="send its scene") as refused:
+        client.submit({"scene": SimpleNamespace(render=None)})
+    assert refused.value.field == "scene"
+    script.answers = [says(422, {"detail": "1 field is wrong", "errors": []}, "application/problem+json")]
+    with pytest.raises(sa.InvalidRequest, match="there is no file") as refused:
+        client.submit({"scene": {"objects": [{"mesh": "./none.obj"}]}})
+    assert refused.value.field == "scene.objects.0.mesh"

@@ -12,7 +12,9 @@ import scene_attack as sa
 from scene_attack import Client
 from scene_attack.cli import specs
 from scene_attack.cli.app import app
-from scene_attack.cli.specs import Adding, bundle_at, folder_of, read_campaign, read_job, to_library, with_meshes_added
+from scene_attack.cli.console import remark
+from scene_attack.cli.specs import folder_of, read_campaign, read_job, to_library
+from scene_attack.client.meshes import Adding, bundle_at, with_meshes_added
 from scene_attack.errors import InvalidFields, InvalidRequest
 from scene_attack.scenes.library import Library
 from scene_attack_service.settings import DEFAULTS, Settings
@@ -23,6 +25,7 @@ from tests.unit.scenes.test_companion_files import MTL, OBJ, image
 pytestmark = pytest.mark.slow
 
 __all__ = ["client", "script"]  # fixtures
+MISSING = says(404, {"detail": "there is no such upload"}, "application/problem+json")
 NAME = "sha256:" + "a" * 64
 
 
@@ -32,7 +35,7 @@ def library(tmp_path: Path) -> Library:
 
 
 def into(library: Library) -> Adding:
-    def add(path: Path) -> tuple[str, tuple[str, ...]]:
+    def add(path: Any) -> tuple[str, tuple[str, ...]]:
         entry = library.add(bundle_at(path, DEFAULTS))
         return entry.name, tuple(entry.notes)
 
@@ -65,7 +68,7 @@ def test_paths_are_relative_to_the_spec_and_bring_their_files(
     for name, data in {"chair.obj": OBJ, "my chair.mtl": MTL, "tex/wood.png": image()}.items():
         (tmp_path / "models" / name).write_bytes(data)
     given = request_with("../models/chair.obj", "primitive/cube")
-    found, _ = with_meshes_added(given, tmp_path / "specs", into(library))
+    found, _ = with_meshes_added(given, tmp_path / "specs", into(library), remark)
     first, second = found["scene"]["objects"]
     assert given == request_with("../models/chair.obj", "primitive/cube"), "what was given is not changed"
     assert found | {"scene": None} == given | {"scene": None}
@@ -76,7 +79,7 @@ def test_paths_are_relative_to_the_spec_and_bring_their_files(
     assert "texture tex/wood.png" in entry.used
     assert "not shown: bump map bumps.png missing" in capsys.readouterr().err
     assert any(part.textured for part in library.mesh(first["mesh"]).parts)
-    assert with_meshes_added(given, tmp_path / "specs", into(library)) == (found, {})
+    assert with_meshes_added(given, tmp_path / "specs", into(library), remark) == (found, {})
 
 
 def test_paths_of_standard_input_are_relative_to_the_working_directory(
@@ -84,7 +87,7 @@ def test_paths_of_standard_input_are_relative_to_the_working_directory(
 ) -> None:
     (tmp_path / "chair.obj").write_bytes(OBJ)
     monkeypatch.chdir(tmp_path)
-    found, _ = with_meshes_added(request_with("./chair.obj"), folder_of("-"), into(library))
+    found, _ = with_meshes_added(request_with("./chair.obj"), folder_of("-"), into(library), remark)
     assert found["scene"]["objects"][0]["mesh"].startswith("sha256:")
 
 
@@ -109,7 +112,7 @@ def test_files_that_are_no_meshes_are_refused_with_all_else_that_is_wrong(
 
 @pytest.mark.parametrize("data", [{}, {"scene": 3}, {"scene": {"objects": "x"}}, {"scene": {"objects": [3, {}]}}])
 def test_what_is_no_request_is_left_to_the_parser(library: Library, data: dict[str, Any]) -> None:
-    assert with_meshes_added(data, Path(), into(library)) == (data, {})
+    assert with_meshes_added(data, Path(), into(library), remark) == (data, {})
 
 
 def test_a_campaign_names_a_file_in_every_place_where_it_has_meshes(folder: Path) -> None:
@@ -117,11 +120,11 @@ def test_a_campaign_names_a_file_in_every_place_where_it_has_meshes(folder: Path
     grids = [{"scenes": {"meshes": ["primitive/cube", "./chair.obj"]}}, {"scenes": [{"ground": None}, scene]}]
     asked: list[Path] = []
 
-    def add(path: Path) -> tuple[str, tuple[str, ...]]:
+    def add(path: Any) -> tuple[str, tuple[str, ...]]:
         asked.append(path)
         return NAME, ()
 
-    found, _ = with_meshes_added({"grids": grids, "jobs": [{"scene": scene}]}, folder, add)
+    found, _ = with_meshes_added({"grids": grids, "jobs": [{"scene": scene}]}, folder, add, remark)
     assert json.dumps(found).count(NAME) == 3
     assert "chair.obj" not in json.dumps(found)
     assert asked == [folder / "chair.obj"], "it is added once"
@@ -137,18 +140,18 @@ def test_a_mesh_is_uploaded_before_it_is_submitted(
 ) -> None:
     job = request_with("./chair.obj")
     uploaded = UPLOADED | {"name": NAME, "notes": ["bump map missing"]}
-    script.answers = [says(201, uploaded), says(202, answered() if command == ["submit"] else CAMPAIGN)]
+    script.answers = [MISSING, says(201, uploaded), says(202, answered() if command == ["submit"] else CAMPAIGN)]
     spec = written(folder, job if command == ["submit"] else {"jobs": [job]})
     done = CliRunner().invoke(app, [*command, spec, "--url", client.url])
     assert done.exit_code == 0, done.output
     assert f"chair.obj: uploaded as {NAME}" in done.stderr
     assert "./chair.obj: not shown: bump map missing" in done.stderr
-    assert [path.partition("?")[0] for _, path, _ in script.seen] == [
+    assert [path.partition("?")[0] for _, path, _ in script.seen[1:]] == [
         "/v1/assets",
         f"/v1/{'jobs' if command == ['submit'] else 'campaigns'}",
     ]
-    assert b'filename="my chair.mtl"' in script.bodies[0]
-    sent = json.loads(script.bodies[1])
+    assert b'filename="my chair.mtl"' in script.bodies[1]
+    sent = json.loads(script.bodies[2])
     [thing] = (sent if command == ["submit"] else sent["jobs"][0])["scene"]["objects"]
     assert thing == {"mesh": NAME, "scale": 2}
 
@@ -158,6 +161,7 @@ def test_a_mesh_that_the_service_refuses_is_named_with_all_else_that_it_refuses(
 ) -> None:
     named = [{"field": "attack.steps", "detail": "too few"}, {"field": "scene.objects.0.mesh", "detail": "unknown"}]
     script.answers = [
+        MISSING,
         says(422, {"detail": "file: no vertices"}, "application/problem+json"),
         says(422, {"detail": "2 fields are wrong", "errors": named}, "application/problem+json"),
     ]

@@ -61,7 +61,7 @@ def test_a_function_has_the_name_of_its_operation(name: str, tmp_path: Path) -> 
 @pytest.mark.parametrize("kind", [AsyncClient, Client])
 def test_a_method_of_a_client_has_the_name_of_its_operation(kind: type) -> None:
     methods = {name for name in vars(kind) if not name.startswith("_")}
-    assert methods - set(FUNCTIONS) <= {"call", "save", "url"}
+    assert methods - set(FUNCTIONS) <= {"call", "save", "url", "submit"}
 
 
 @pytest.mark.parametrize("name", sorted(FUNCTIONS))

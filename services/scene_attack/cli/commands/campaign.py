@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -91,13 +92,15 @@ def submit(
 ) -> None:
     """Start a campaign at a running service."""
     from scene_attack.cli import specs
-    from scene_attack.cli.specs import folder_of, sent
+    from scene_attack.cli.specs import folder_of
     from scene_attack.client import operations
     from scene_attack.client.client import Client
+    from scene_attack.client.meshes import sent
 
     data = specs.read(spec)
     with Client(url) as client:
-        created = sent(data, folder_of(spec), client, lambda data: operations.submit_campaign(data, priority=priority))
+        request = partial(operations.submit_campaign, priority=priority)
+        created = sent(data, folder_of(spec), client, request, remark)
         print_found(created, f"{created.id}  {client.url}/campaigns/{created.id}", as_json)
 
 

@@ -63,21 +63,21 @@ def submit(
     cannot run, and 1 if it failed or was cancelled.
     """
     from scene_attack.cli import specs
-    from scene_attack.cli.specs import folder_of, sent
+    from scene_attack.cli.specs import folder_of
     from scene_attack.cli.tables import warn
-    from scene_attack.client import operations
-    from scene_attack.client.client import Client, Job
+    from scene_attack.client.client import Client
 
     data = specs.read(spec, seed)
     with Client(url) as client:
-        job = sent(data, folder_of(spec), client, lambda data: operations.submit_job(data, priority=priority))
+        submitted = client.submit(data, folder=folder_of(spec), say=remark, priority=priority)
+        job = submitted.data
         warn(job.warnings)
         if not job.checked:
             remark("accepted before its check had ended; a worker checks it first")
         page = f"{client.url}/jobs/{job.id}"
         if watch:
             remark(page)
-            job = follow(Job(job, client))
+            job = follow(submitted)
             print_job(job, as_json)
         else:
             print_found(job, f"{job.id}  {page}", as_json)

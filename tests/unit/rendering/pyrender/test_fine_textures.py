@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from benchmarks.gltf_materials import View
-from scene_attack.cli.specs import bundle_at
+from scene_attack.client.meshes import bundle_at
 from scene_attack.rendering.pyrender.renderer import PyrenderRenderer
 from scene_attack.scenes.description import SceneObject
 from scene_attack.scenes.library import Library
