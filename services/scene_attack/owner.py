@@ -3,6 +3,7 @@
 What several threads ask for is done one after the other, so that it has the results that it has alone.
 """
 
+import os
 import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -10,21 +11,32 @@ from typing import Any, TypeVar
 
 import torch
 
+from scene_attack.errors import JobFailure
 from scene_attack.rendering.opengl import context
 
 Answer = TypeVar("Answer")
 _here = threading.local()
 _thread = ThreadPoolExecutor(1, "scene-attack", initializer=lambda: setattr(_here, "owns", True))
+_process: int | None = None
+"""The process that has the thread; None before it was used."""
 
 
 def run(work: Callable[[Callable[[], bool]], Answer]) -> Answer:
     """Returns the answer of `work`, which runs in the owner thread; an error is raised here.
 
     `work` gets a function that says whether the caller has been interrupted, as by Ctrl-C: it then has to end, and is
-    waited for. A program that has used OpenGL in this thread already, as a command does, works in it.
+    waited for. A program that has used OpenGL in this thread already, as a command does, works in it. Raises
+    JobFailure("internal") in a process that was forked after the thread had been used: it has no such thread.
     """
+    global _process
     if hasattr(_here, "owns") or context.owner() == threading.get_ident():
         return work(lambda: False)
+    if _process not in (None, os.getpid()):
+        detail = (
+            "scene_attack was used before this process was forked: start it by multiprocessing's method spawn instead"
+        )
+        raise JobFailure("internal", detail)
+    _process = os.getpid()
     interrupted = threading.Event()
     gradients = torch.is_grad_enabled()
 

@@ -87,3 +87,26 @@ except KeyboardInterrupt:
 print(len(sa.attack(SPHERE, target(0), sa.FGSM(renderer="image", steps=1)).trace) > 0)
 """
     assert printed(code).split() == ["interrupted", "True"]
+
+
+def test_a_process_that_was_forked_afterwards_says_what_would_be_right() -> None:
+    code = """
+import multiprocessing
+
+def ask(answers):
+    try:
+        answers.put(renderer.render({}))
+    except sa.JobFailure as error:
+        answers.put(str(error))
+
+renderer = sa.renderer(SPHERE, "pyrender")
+fork = multiprocessing.get_context("fork")
+answers = fork.Queue()
+process = fork.Process(target=ask, args=(answers,), daemon=True)
+process.start()
+try:
+    print(answers.get(timeout=120))
+finally:
+    process.kill()
+"""
+    assert printed(code).endswith("start it by multiprocessing's method spawn instead\n")
