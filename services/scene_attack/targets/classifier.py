@@ -1,13 +1,19 @@
 """Wraps an image classifier as a target: it resizes and normalises images and runs the network."""
 
+import json
+from copy import deepcopy
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Literal
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from scene_attack.errors import InvalidRequest, summary
+from scene_attack.extensions import NAME
 from scene_attack.process import describe, device
+from scene_attack.targets.labels import imagenet_labels
 
 
 @dataclass
@@ -64,3 +70,34 @@ class Classifier:
                 x = x.clamp(low, high)
         scores: Tensor = self.network(x.contiguous(memory_format=torch.channels_last))
         return scores.to(images.device, torch.promote_types(self.dtype, torch.float32))
+
+    def save(self, folder: Path | str) -> None:
+        """Writes `card.json` and the network, as `model.pt2`, into a folder, whose name is then the network's where
+        SCENE_ATTACK_TARGETS names the folder that it is in.
+
+        Raises InvalidRequest("folder") for a name that no network may have and a folder with something in it, and
+        InvalidRequest("target") for a network that torch.export cannot write, as a function of the process.
+        """
+        place = Path(folder)
+        if not NAME.fullmatch(place.resolve().name):
+            raise InvalidRequest("folder", f"{place.name!r} is to be the network's name: use a-z, 0-9, - and _")
+        if place.exists() and (not place.is_dir() or any(place.iterdir())):
+            raise InvalidRequest("folder", f"{place} has something in it already; name a new folder")
+        if self.scores_only is not None:
+            raise InvalidRequest("target", f"it cannot be saved, only a torch module can: {self.scores_only}")
+        network = deepcopy(self.network).cpu()
+        for value in [*network.parameters(), *network.buffers()]:
+            value.data = value.data.contiguous()
+        images = torch.zeros(2, 3, *self.input_size, dtype=self.dtype)
+        try:
+            shapes = ({0: torch.export.Dim("batch")},)
+            program = torch.export.export(network, (images,), dynamic_shapes=shapes)
+        except Exception as error:  # of whatever kind, with a page about the module's own code
+            raise InvalidRequest("target", f"torch.export cannot write it: {summary(error)}") from error
+        preprocessing = {"input_size": self.input_size, "mean": self.mean, "std": self.std, "resize": self.resize}
+        labels = "imagenet" if self.labels == imagenet_labels() else self.labels
+        place.mkdir(parents=True, exist_ok=True)
+        torch.export.save(program, place / "model.pt2")
+        (place / "card.json").write_text(
+            json.dumps({"labels": labels, "preprocessing": preprocessing}, indent=1), "utf-8"
+        )
