@@ -420,7 +420,9 @@ class Client:
         this process, and ApiError as `submit_job` does.
         """
         data = _portable(spec)
-        return Job(sent(data, Path.cwd() / folder, self, lambda data: operations.submit_job(data, **asked), say), self)
+        return Job(
+            sent(data, Path.cwd() / folder, self.call, lambda data: operations.submit_job(data, **asked), say), self
+        )
 
     def submit_job(self, spec: JobSpec | Mapping[str, Any], **asked: Unpack[Submission]) -> Job:
         """Queues a job; ApiError with status 422 names every invalid field."""

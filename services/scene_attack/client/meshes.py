@@ -16,7 +16,6 @@ from scene_attack.scenes.mesh_arrays import MeshArrays
 from scene_attack.scenes.uploads import max_unpacked, to_bundle
 
 if TYPE_CHECKING:
-    from scene_attack.client.client import Client
     from scene_attack.client.operations import Answer, Request
     from scene_attack.client.schemas import Uploaded
 
@@ -24,6 +23,8 @@ Adding = Callable[[Path | MeshArrays], tuple[str, Sequence[str]]]
 """Adds the mesh in a file, or that of arrays. Returns its name in a scene, and the parts that are not shown. Raises
 InvalidRequest.
 """
+Call = Callable[["Request[Any]"], Any]
+"""Sends a request to a service and returns its answer, as `Client.call` does."""
 _PLACES = (
     "scene.objects.*.mesh",
     "jobs.*.scene.objects.*.mesh",
@@ -69,7 +70,7 @@ def with_meshes_added(
 def sent(
     data: dict[str, Any],
     folder: Path,
-    client: Client,
+    call: Call,
     request: Callable[[dict[str, Any]], Request[Answer]],
     say: Callable[[str], None] = lambda _: None,
 ) -> Answer:
@@ -80,7 +81,7 @@ def sent(
     """
     from scene_attack.client.errors import ApiError
 
-    data, not_added = with_meshes_added(data, folder, _to_service(client, say), say)
+    data, not_added = with_meshes_added(data, folder, _to_service(call, say), say)
     wrong: dict[str, InvalidRequest] = {}
 
     def refused(mesh: str, field: str) -> str:
@@ -91,7 +92,8 @@ def sent(
     for place in _PLACES:
         _replaced(data, place.split("."), refused)
     try:
-        return client.call(request(data))
+        answer: Answer = call(request(data))
+        return answer
     except ApiError as error:
         if error.status != 422 or not wrong:
             raise
@@ -127,7 +129,7 @@ def bundle_at(path: Path, limits: Options) -> Bundle:
     )
 
 
-def _to_service(client: Client, say: Callable[[str], None]) -> Adding:
+def _to_service(call: Call, say: Callable[[str], None]) -> Adding:
     """Returns a function that uploads a mesh, unless the service has it."""
     from scene_attack.client import operations, schemas
     from scene_attack.client.errors import ApiError
@@ -135,7 +137,7 @@ def _to_service(client: Client, say: Callable[[str], None]) -> Adding:
     def add(mesh: Path | MeshArrays) -> tuple[str, Sequence[str]]:
         bundle = mesh.bundle if isinstance(mesh, MeshArrays) else bundle_at(mesh, DEFAULTS)
         try:
-            entry = client.call(operations.get_asset(bundle.sha256))
+            entry = call(operations.get_asset(bundle.sha256))
         except ApiError as error:
             if error.status != 404:
                 raise
@@ -146,8 +148,9 @@ def _to_service(client: Client, say: Callable[[str], None]) -> Adding:
         try:
             if isinstance(mesh, MeshArrays):
                 files = [("mesh.ply", mesh.bundle.data)]
-                return client.call(operations.Request("POST", "/v1/assets", schemas.Uploaded, files=files))
-            entry = client.call(operations.upload_asset([mesh], name=title_of(mesh)))
+                uploaded: Uploaded = call(operations.Request("POST", "/v1/assets", schemas.Uploaded, files=files))
+                return uploaded
+            entry: Uploaded = call(operations.upload_asset([mesh], name=title_of(mesh)))
         except ApiError as error:
             if error.status != 422:
                 raise

@@ -100,7 +100,7 @@ def submit(
     data = specs.read(spec)
     with Client(url) as client:
         request = partial(operations.submit_campaign, priority=priority)
-        created = sent(data, folder_of(spec), client, request, remark)
+        created = sent(data, folder_of(spec), client.call, request, remark)
         print_found(created, f"{created.id}  {client.url}/campaigns/{created.id}", as_json)
 
 
