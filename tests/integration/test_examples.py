@@ -11,6 +11,7 @@ pytestmark = pytest.mark.integration
 
 ROOT = Path(__file__).parents[2]
 SAID = {
+    "campaign_to_frame": r" +attack  azimuth original attacked outcome\n(.*fgsm +0\.[39] +[a-e]  .*\n){4}",
     "own_loop": r"right minus left: (?P<before>\S+) → (?P<after>\S+)\n",
     "own_mesh": r".+ → .+, verified: True\np = 0\.\d+ after \d+ steps\n",
     "own_network": r"module: elk → [abcd]\w+ changed\nfunction: elk → [abcd]\w+ fooled\n",
