@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from scene_attack.client.client import AsyncClient, AsyncJob, Client, Job, images
     from scene_attack.client.errors import ApiError, Unfinished
     from scene_attack.errors import InvalidRequest, JobFailure
-    from scene_attack.objects import CampaignRun, Result, attack, campaign, load, renderer, target
+    from scene_attack.objects import CampaignRun, Result, attack, campaign, load, renderer, target, truth
     from scene_attack.options import Options
     from scene_attack.rendering.protocol import Renderer
     from scene_attack.runs.campaign_spec import CampaignSpec as Campaign
@@ -84,6 +84,7 @@ __all__ = [
     "load",
     "renderer",
     "target",
+    "truth",
 ]
 
 # OpenMP threads spin at every barrier by default. With more busy threads than cores, as beside other workers, that cost
@@ -109,7 +110,7 @@ _PLACES = {
     "Goal": "runs.spec",
     "Expectation": "attacks.request",
     "Renderer": "rendering.protocol",
-    **dict.fromkeys(("target", "renderer", "attack", "Result", "load", "campaign", "CampaignRun"), "objects"),
+    **dict.fromkeys(("target", "renderer", "attack", "Result", "load", "truth", "campaign", "CampaignRun"), "objects"),
     "Spec": "runs.spec:JobSpec",
     "Campaign": "runs.campaign_spec:CampaignSpec",
     "Grid": "runs.campaign_spec",

@@ -306,6 +306,26 @@ def renderer(
     return owned  # type: ignore[no-any-return]
 
 
+def truth(scene: Scene | Mapping[str, Any], target: Network | str) -> tuple[str, ...]:
+    """The network's labels that are right for a scene by the project's reviewed table, which an attack takes for the
+    truth if its goal states none; empty where nobody has said.
+
+    It has the furniture of the library for ImageNet's labels and for kinds of furniture. Of objects that differ in
+    their labels none is right. Raises InvalidRequest for what is no scene, and an unknown network.
+    """
+    from scene_attack.runs.goals import table_truth
+    from scene_attack.runs.spec import as_data
+    from scene_attack.targets import registry
+
+    _set_up(None)
+    made = None if isinstance(target, str) else _target(target)
+    meshes = [thing["mesh"] for thing in as_data("scene", scene)["objects"]]
+    name = target if isinstance(target, str) else MODULE
+    labels = registry.labels(name) if made is None else tuple(made.labels)
+    info = registry.card(name) if made is None else _info(made)
+    return tuple(labels[index] for index in table_truth(meshes, info, labels))
+
+
 @dataclass(frozen=True)
 class CampaignRun:
     """A campaign that has ended: its record, which is the content of `table.json`, and the folder with its files."""
@@ -437,6 +457,8 @@ def _target(network: Any, name: str = MODULE, labels: Any = None, preprocessing:
             "target",
             f"must be a torch.nn.Module, a function of images [B, 3, H, W], or a target, not {type(network).__name__}",
         )
+    if isinstance(network, nn.Module) and any(value.is_meta for value in network.state_dict().values()):
+        raise InvalidRequest("target", "its weights are on the device meta, which has no values; load them first")
     chosen = _preprocessing({} if preprocessing is None else preprocessing)
     named = _labels(labels) or _numbers(network, chosen)
     return (target_of if isinstance(network, nn.Module) else scores_of)(name, network, named, chosen)

@@ -149,6 +149,40 @@ def test_a_replay_of_another_network_is_refused() -> None:
         result.replay()
 
 
+def test_the_truth_is_what_an_attack_takes_for_it() -> None:
+    piano, ball = ({"mesh": f"furniture/{name}"} for name in ("grand-piano", "soccer-ball"))
+    imagenet = sa.target(network(1000), labels="imagenet", **SMALL)
+    assert sa.truth({"objects": [piano]}, imagenet) == ("grand piano",)
+    assert sa.truth(sa.Scene(objects=[sa.Object(**piano)]), "efficientnet-lite0") == ("grand piano",)
+    assert sa.truth({"objects": [piano, ball]}, imagenet) == ()
+    assert sa.truth({"objects": [piano]}, sa.target(network(), **SMALL)) == ()
+    with pytest.raises(InvalidRequest, match="there is no target 'nobody'"):
+        sa.truth({"objects": [piano]}, "nobody")
+
+
+@pytest.mark.parametrize(
+    ("model", "said"),
+    [
+        (
+            torch.nn.Sequential(network(), torch.nn.Dropout()).train().forward,
+            "dropout or batch normalisation in training",
+        ),
+        (network().to("meta"), "meta"),
+        (network().to("meta").forward, "meta"),
+    ],
+    ids=["training", "module elsewhere", "function elsewhere"],
+)
+def test_a_network_in_training_or_elsewhere_is_refused_in_a_sentence(model: Any, said: str) -> None:
+    with pytest.raises(InvalidRequest, match=said):
+        attack(model, SEARCH, labels=["a", "b", "c"], **SMALL)
+
+
+def test_a_module_in_training_is_attacked_as_it_is_in_use() -> None:
+    module = torch.nn.Sequential(network(), torch.nn.Dropout()).train()
+    assert attack(module, SEARCH, **SMALL).attacked.answer == attack(network(), SEARCH, **SMALL).attacked.answer
+    assert module.training
+
+
 def test_a_renderer_is_for_a_loop_of_ones_own() -> None:
     renderer = sa.renderer(SCENE, "torch", groups=["illumination"])
     light = renderer.initial()["illumination"][None].clone().requires_grad_()
