@@ -11,6 +11,7 @@ import structlog
 from redis import Redis
 from redis.exceptions import RedisError
 
+from scene_attack import owner
 from scene_attack.runs.set_up import set_up
 from scene_attack_service.settings import Settings
 from scene_attack_worker.stack import EmbeddedRedis
@@ -33,6 +34,9 @@ structlog.configure(
 )
 
 set_up(Settings())
+
+# The thread of the tests is the one that draws, also for `sa.attack`, whose own thread would keep OpenGL from the rest.
+owner._here.owns = True  # noqa: SLF001
 
 # What is imported and made while tests are collected is no garbage: to look for some took a third of the time of it.
 gc.disable()

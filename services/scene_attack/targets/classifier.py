@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from scene_attack.errors import InvalidRequest, summary
-from scene_attack.extensions import NAME
+from scene_attack.plugins import NAME
 from scene_attack.process import describe, device
 from scene_attack.targets.labels import imagenet_labels
 

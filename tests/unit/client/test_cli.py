@@ -176,7 +176,10 @@ def test_only_an_upload_is_deleted() -> None:
 def test_assets_are_listed_from_the_cache_given(tmp_path: Path) -> None:
     environ = {"SCENE_ATTACK_CACHE": str(tmp_path), "SCENE_ATTACK_DATA": str(tmp_path)}
     listed = json.loads(cli("assets", "list", "--json", **environ).stdout)
-    assert listed
-    assert all(entry["kind"] == "primitive" for entry in listed)
+    kinds = [entry["kind"] for entry in listed]
+    assert (set(kinds), kinds.count("furniture")) == (
+        {"primitive", "furniture"},
+        10,
+    )
     shown = json.loads(cli("assets", "show", listed[0]["name"], "--json", **environ).stdout)
     assert shown["faces"] > 0

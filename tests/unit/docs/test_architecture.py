@@ -12,7 +12,7 @@ PAGE = (ROOT / "docs" / "reference" / "architecture.md").read_text("utf-8")
 DRAWN_ROOMS = dict(re.findall(r'^    (\w+)\["([\w/]+):', PAGE, re.MULTILINE))
 DRAWN_ARROWS = set(re.findall(r"^    (\w+) --> (\w+)$", PAGE, re.MULTILINE))
 LIBRARY = ROOT / "services" / "scene_attack"
-GROUND_FLOOR = {path.stem for path in LIBRARY.glob("*.py")} - {"objects", "owner", "__main__"}
+GROUND_FLOOR = {path.stem for path in LIBRARY.glob("*.py")} - {"objects", "owner", "plugin", "__main__"}
 """Modules of the library that every room may import; the page names them in words."""
 PACKAGES = ("scene_attack", *(f"scene_attack_{name}" for name in ("service", "questions", "accuracy", "api", "worker")))
 
