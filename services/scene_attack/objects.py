@@ -313,7 +313,7 @@ def truth(scene: Scene | Mapping[str, Any], target: Network | str) -> tuple[str,
     It has the furniture of the library for ImageNet's labels and for kinds of furniture. Of objects that differ in
     their labels none is right. Raises InvalidRequest for what is no scene, and an unknown network.
     """
-    from scene_attack.runs.goals import table_truth
+    from scene_attack.runs.classification import table_truth
     from scene_attack.runs.spec import as_data
     from scene_attack.targets import registry
 

@@ -10,6 +10,7 @@ from scene_attack.plugins import INTERFACE
 from scene_attack.rendering.declaration import BuildRequest, Declaration, DeclaredRenderer, Group, labelled
 from scene_attack.rendering.declaration import register as register_renderer
 from scene_attack.rendering.plan import Item, Plan
+from scene_attack.runs.task import register_task
 from scene_attack.targets.architectures import register_architecture
 from scene_attack.targets.info import TargetInfo
 from scene_attack.targets.info import register as register_target
@@ -29,4 +30,5 @@ __all__ = [
     "register_attack",
     "register_renderer",
     "register_target",
+    "register_task",
 ]

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional as F
 
-from scene_attack.targets.iep.assembly import Question, Slot, assemble
-from scene_attack.targets.iep.engine import N_CELLS, Engine, Execution
 from scene_attack_questions.executor import ANSWERS
+from scene_attack_questions.iep.assembly import Question, Slot, assemble
+from scene_attack_questions.iep.engine import N_CELLS, Engine, Execution
 from training.iep.examples import Example
 
 SHORTEST, EVERYTHING_FROM = 8, 0.2

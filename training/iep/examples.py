@@ -3,11 +3,11 @@
 from dataclasses import dataclass
 from functools import cached_property
 
-from scene_attack.targets.iep.engine import GRID, STRIDE
 from scene_attack_questions.clevr.records import ATTRIBUTES, ObjectRecord
 from scene_attack_questions.executor import Facts, Value, execute
 from scene_attack_questions.families import FAMILIES
 from scene_attack_questions.generator import QuestionRecord
+from scene_attack_questions.iep.engine import GRID, STRIDE
 from scene_attack_questions.program import Program, Type
 
 Result = tuple[int, ...] | str

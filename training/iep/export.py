@@ -20,12 +20,12 @@ from scene_attack.analysis.verdict import wilson
 from scene_attack.errors import InvalidRequest
 from scene_attack.rendering.color import from_bytes
 from scene_attack.scenes.library import Library
-from scene_attack.targets.iep.assembly import Question, assemble
-from scene_attack.targets.iep.checkpoint import HOW_TO_GET_WEIGHTS, Checkpoint, load, to_bytes
-from scene_attack.targets.iep.engine import Engine
-from scene_attack.targets.iep.program_generator import to_prefix
 from scene_attack_questions.executor import ANSWERS
 from scene_attack_questions.families import FAMILIES
+from scene_attack_questions.iep.assembly import Question, assemble
+from scene_attack_questions.iep.checkpoint import HOW_TO_GET_WEIGHTS, Checkpoint, load, to_bytes
+from scene_attack_questions.iep.engine import Engine
+from scene_attack_questions.iep.program_generator import to_prefix
 from scene_attack_questions.program import Program
 from training.export import Written
 from training.iep.data import BRIGHTER, COARSE, MOVED, TINTED, DataFolder, Images, Shard, examples_of
@@ -174,7 +174,7 @@ def _written(share: Share) -> dict[str, Any]:
 
 
 NAME = "iep"
-SHIPPED = Path(str(files("scene_attack.targets").joinpath("weights"))) / f"{NAME}.safetensors"
+SHIPPED = Path(str(files("scene_attack_questions.iep"))) / f"{NAME}.safetensors"
 """The checkpoint that ships with the project."""
 
 

@@ -8,7 +8,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from scene_attack.errors import InvalidRequest
-from scene_attack.targets.iep.program_generator import TOKENS, ProgramGenerator, to_prefix
+from scene_attack_questions.iep.program_generator import TOKENS, ProgramGenerator, to_prefix
 from scene_attack_questions.text import encoded
 from training.iep.examples import Example
 

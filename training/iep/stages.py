@@ -18,9 +18,9 @@ from scene_attack import disk
 from scene_attack.errors import InvalidRequest
 from scene_attack.rendering.color import from_bytes
 from scene_attack.scenes.library import Library
-from scene_attack.targets.iep.checkpoint import round_weights
-from scene_attack.targets.iep.engine import Network, Trunk
-from scene_attack.targets.iep.program_generator import ProgramGenerator
+from scene_attack_questions.iep.checkpoint import round_weights
+from scene_attack_questions.iep.engine import Network, Trunk
+from scene_attack_questions.iep.program_generator import ProgramGenerator
 from training.iep.data import DataFolder, Images, Shard, examples_of, objects_of
 from training.iep.engine_training import engine_step
 from training.iep.generator_training import generator_step

@@ -15,8 +15,8 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from scene_attack.rendering.color import from_bytes
-from scene_attack.targets.iep.engine import CHANNELS, GRID, IMAGE, STRIDE, Engine, Trunk
 from scene_attack_questions.clevr.records import ATTRIBUTES
+from scene_attack_questions.iep.engine import CHANNELS, GRID, IMAGE, STRIDE, Engine, Trunk
 from training.iep.data import Images
 from training.iep.engine_training import mask_loss, occupancy
 from training.iep.examples import ObjectTruth

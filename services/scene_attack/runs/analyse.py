@@ -34,7 +34,7 @@ from scene_attack.rendering.physical_change import physical_changes
 from scene_attack.rendering.plan import Tolerance
 from scene_attack.rendering.protocol import Parameters
 from scene_attack.rendering.torch.declaration import TORCH
-from scene_attack.runs import goals
+from scene_attack.runs import classification
 from scene_attack.runs.described import described
 from scene_attack.runs.prepare import Prepared, prepare, resolved_scene, task_of
 from scene_attack.runs.replay import read_stored
@@ -133,7 +133,7 @@ def _wanted(prepared: Prepared, target: str, labels: tuple[str, ...]) -> Wanted:
     meshes = [thing.mesh for thing in prepared.spec.scene.objects]
     reach = prepared.settled.goal.reach
     return Wanted(
-        truth=goals.for_another(names, registry.card(prepared.target.name), meshes, card, labels),
+        truth=classification.for_another(names, registry.card(prepared.target.name), meshes, card, labels),
         reach=labels.index(own[reach]) if reach is not None and own[reach] in labels else None,
         same=tuple(indices(group, labels) for group in same_labels(card)),
         least_confidence=prepared.settled.goal.least_confidence,

@@ -29,20 +29,19 @@ from scene_attack.rendering.protocol import Renderer
 from scene_attack.rendering.torch.declaration import TORCH, check_preset
 from scene_attack.rendering.torch.renderer import smallest_map
 from scene_attack.rendering.variation import STILL, moved, varied
-from scene_attack.runs import goals
+from scene_attack.runs import classification
 from scene_attack.runs.described import can_carry
-from scene_attack.runs.goals import Classification, Settled
-from scene_attack.runs.questions import FIELD, QuestionTask, asked_questions, check_scene
 from scene_attack.runs.result import JobPlan
-from scene_attack.runs.scene_limits import SceneLimits
 from scene_attack.runs.spec import AskedGoal, JobSpec, asked_goal
+from scene_attack.runs.task import TASKS, Settled, Task, TaskConstraint
 from scene_attack.scenes.description import Environment
 from scene_attack.scenes.library import Library
 from scene_attack.scenes.resolve import ResolvedScene, resolve
 from scene_attack.targets import registry
 from scene_attack.targets.info import TARGETS
-from scene_attack.targets.protocol import ProgramTarget, QuestionTarget, Target
+from scene_attack.targets.protocol import Target
 from scene_attack.text import there_are
+from scene_attack_questions.given_scene import check_scene
 
 SURROGATE = "attack.surrogate"
 
@@ -61,14 +60,13 @@ class Prepared:
     verifier: Verifier
     original: ScoredImage
     """The image of the scene, and the network's scores of it."""
-    task: Classification | QuestionTask
-    """Questions to the network, and the judgement of its answers."""
+    task: Task
     settled: Settled
     """The goal, the right labels, and the warnings."""
     limits: Limits
     """The limits of the search."""
-    constraint: SceneLimits | None
-    """Those of them that keep the questions' answers as they are."""
+    constraint: TaskConstraint | None
+    """Those of them that keep the truth as it is."""
 
     def plan(self) -> Plan:
         """The renderer's plan, with the cost of averaging and what limits the search."""
@@ -110,7 +108,7 @@ def prepare(spec: JobSpec, library: Library) -> Prepared:
     Raises InvalidRequest naming the field, for: unknown names, a label out of range, an object out of view, a method
     that needs gradients of a network that has none, bounds that exclude the scene's own values, a loss that needs more
     labels, a range of views beyond the renderer's, a surrogate that cannot guide (`surrogate`), and what
-    `goals.settle` refuses. Raises JobFailure for a target or renderer that breaks its protocol.
+    `classification.settle` refuses. Raises JobFailure for a target or renderer that breaks its protocol.
     """
     prepared = _prepare(spec, library, spec.tolerance)
     load_targets(spec)
@@ -166,7 +164,7 @@ def _prepare(spec: JobSpec, library: Library, tolerance: Tolerance) -> Prepared:
     )
 
 
-def _limits(attack: Attack, renderer: Renderer, constraint: SceneLimits | None) -> Limits:
+def _limits(attack: Attack, renderer: Renderer, constraint: TaskConstraint | None) -> Limits:
     limit = None if attack.truncation is None else attack.truncation / 255
     backtracks = attack.constraint == "backtrack"
     return Limits.of(
@@ -190,33 +188,18 @@ def _collected(wrong: list[InvalidRequest]) -> Iterator[None]:
         wrong += error.every
 
 
-def task_of(spec: JobSpec, network: Target, asked: AskedGoal) -> Classification | QuestionTask:
-    """Returns what a request asks of a network, given its goal in the network's labels.
+def task_of(spec: JobSpec, network: Target, asked: AskedGoal) -> Task:
+    """Returns the task of a request, given its goal in the network's labels.
 
-    Raises InvalidRequest for a question to a network that takes none and for none to one that does, for several to one
-    that takes one, for a kind of answers to leave where there is none, and as `check_scene`, `asked_questions` and
-    `QuestionTask` do.
+    Raises InvalidRequest for a task that is not installed, and as `check_scene` and the task do.
     """
     if spec.record is not None:
         check_scene(spec.scene, spec.record)
-    choice = spec.target
-    given = FIELD if choice.question is not None else f"{FIELD}s.0" if choice.questions else None
-    if network.takes_question and given is None:
-        raise InvalidRequest(FIELD, f"is required: {network.name} answers questions")
-    if given is not None and not network.takes_question:
-        raise InvalidRequest(given, f"{network.name} answers no questions; leave it out")
-    if network.takes_question and isinstance(network, ProgramTarget):
-        return QuestionTask(network, asked_questions(spec, network), spec)
-    if choice.questions:
-        raise InvalidRequest(f"{FIELD}s", f"{network.name} takes one question")
-    if spec.goal.leave_kind:
-        raise InvalidRequest("goal.leave_kind", "only a question has a kind of answers; leave it out")
-    target = network
-    if isinstance(network, QuestionTarget) and choice.asked is not None:
-        target = network.asked(choice.asked)
-    meshes = [thing.mesh for thing in spec.scene.objects]
-    table = goals.table_truth(meshes, registry.card(choice.name), asked.labels)
-    return Classification(target, asked, table, choice.asked)
+    name = registry.card(spec.target.name).task
+    if name not in TASKS:
+        detail = f"the task of {spec.target.name} is {name!r}, which no installed plug-in has; {there_are(name, TASKS)}"
+        raise InvalidRequest("target.name", detail)
+    return TASKS[name](spec, network, asked)
 
 
 def check_analysis(spec: JobSpec) -> None:
@@ -342,7 +325,9 @@ def surrogate(spec: JobSpec, labels: tuple[str, ...], settled: Settled) -> Surro
     names = [labels[index] for index in goal.leave]
     meshes = [thing.mesh for thing in spec.scene.objects]
     right = set(goal.leave) <= set(settled.truth)
-    leave = goals.for_another(names, registry.card(spec.target.name), meshes if right else (), card, target.labels)
+    leave = classification.for_another(
+        names, registry.card(spec.target.name), meshes if right else (), card, target.labels
+    )
     if not leave or len(leave) == len(target.labels):
         which = "only the labels" if leave else "none of the labels"
         raise InvalidRequest(SURROGATE, f"{name} has {which} that the goal is to leave ({', '.join(names[:5])})")

@@ -19,6 +19,7 @@ from scene_attack.plugins import NAME, load, loaded_plugins
 from scene_attack.process import use
 from scene_attack.rendering.declaration import RENDERERS
 from scene_attack.runs.field_errors import invalid_fields
+from scene_attack.runs.task import TASKS
 from scene_attack.strict import NotJson, read_json
 from scene_attack.targets.architectures import ARCHITECTURES
 from scene_attack.targets.custom.card import NOTHING, AllowList, Card
@@ -74,7 +75,7 @@ def set_up(options: Options) -> None:
     use(options)
     if _loaded is None:
         try:
-            load((ATTACKS, RENDERERS, TARGETS, ARCHITECTURES), options.without_plugins)
+            load((ATTACKS, RENDERERS, TARGETS, ARCHITECTURES, TASKS), options.without_plugins)
         except InvalidRequest as error:
             raise InvalidRequest(f"SCENE_ATTACK_{error.field.upper()}", error.detail) from error
         _loaded = _Loaded(options, register_folders(options.target_folder, AllowList.of(options)))

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, TypeVar
 
-from pydantic import BaseModel
+from pydantic import BaseModel, Field
 
 from scene_attack.errors import InvalidRequest
 from scene_attack.plugins import Registry
@@ -32,7 +32,7 @@ class TargetInfo(BaseModel):
 
     name: str
     title: str
-    task: Literal["classification", "question answering"]
+    task: str = Field("classification", description="what it is asked; 'classification', or a task of a plug-in")
     input_size: tuple[int, int]
     classes: int
     differentiable: bool | None
@@ -100,9 +100,7 @@ class RegisteredTarget:
     """Its model file; None for a factory, an endpoint, and a network that somebody else brings."""
 
 
-TARGETS: Registry[RegisteredTarget] = Registry(
-    "target", ["scene_attack.targets.image_networks", "scene_attack.targets.iep.card"]
-)
+TARGETS: Registry[RegisteredTarget] = Registry("target", ["scene_attack.targets.image_networks"])
 
 UNAVAILABLE: dict[str, str] = {}
 """Name to reason of each folder of SCENE_ATTACK_TARGETS that cannot be a target."""

@@ -22,7 +22,7 @@ from scene_attack_service.jobs.record import Record
 from tests.unit.api.dashboard_records import Tags, add, app, start
 from tests.unit.api.test_dashboard_pages import HOSTILE
 from tests.unit.jobs.small import LIBRARY
-from tests.unit.targets.iep.seeded import INFO, program, target
+from tests.unit.questions.iep.seeded import INFO, program, target
 
 RECORD = generate(8, 2, objects=(4, 4))
 """A large red rubber cylinder (0), a yellow (1) and a blue (2) large metal one, a large red rubber sphere (3)."""

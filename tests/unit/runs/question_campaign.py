@@ -12,12 +12,12 @@ from scene_attack.runs.campaign_plan import views
 from scene_attack.runs.campaign_spec import parse
 from scene_attack.runs.prepare import prepare_exactly
 from scene_attack.targets import registry
-from scene_attack.targets.iep.checkpoint import Checkpoint
-from scene_attack.targets.iep.target import IepTarget
 from scene_attack_questions.generator import QuestionRecord
+from scene_attack_questions.iep.checkpoint import Checkpoint
+from scene_attack_questions.iep.target import IepTarget
 from scene_attack_questions.program import Program
 from tests.unit.jobs.small import LIBRARY
-from tests.unit.targets.iep.seeded import INFO, favouring, generator, network
+from tests.unit.questions.iep.seeded import INFO, favouring, generator, network
 
 NAME = "iep-right"
 GENERATE: dict[str, Any] = {"images": 4, "seed": 8, "objects": [3, 4], "kinds": ["zero_hop"], "question_seed": 2}

@@ -9,7 +9,7 @@ from scene_attack.targets import registry
 from scene_attack_questions.clevr.description import describe
 from scene_attack_questions.clevr.generator import generate
 from tests.unit.jobs.small import LIBRARY, SPHERE
-from tests.unit.targets.iep.seeded import COUNT, INFO, TAUGHT, favouring, program, target
+from tests.unit.questions.iep.seeded import COUNT, INFO, TAUGHT, favouring, program, target
 
 pytestmark = pytest.mark.slow
 

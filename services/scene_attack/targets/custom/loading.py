@@ -269,7 +269,7 @@ def describe(name: str, target: Target, vocabulary: Vocabulary = "custom") -> Ta
     return TargetInfo(
         name=name,
         title=name,
-        task="question answering" if target.takes_question else "classification",
+        task="questions" if target.takes_question else "classification",
         input_size=target.input_size,
         classes=len(target.labels),
         differentiable=target.differentiable,

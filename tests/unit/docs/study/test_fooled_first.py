@@ -8,7 +8,7 @@ import torch
 from benchmarks.study.recording import fooled_first
 from benchmarks.study.tables import group
 from scene_attack_questions.program import FUNCTIONS
-from tests.unit.targets.iep.seeded import program
+from tests.unit.questions.iep.seeded import program
 
 pytestmark = pytest.mark.slow
 

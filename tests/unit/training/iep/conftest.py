@@ -11,10 +11,10 @@ import torch
 from torch import Tensor
 
 from scene_attack.scenes.library import Library
-from scene_attack.targets.iep.program_generator import TOKENS
+from scene_attack_questions.iep.program_generator import TOKENS
 from scene_attack_questions.program import Node
 from scene_attack_questions.text import WORDS
-from tests.unit.targets.iep import world
+from tests.unit.questions.iep import world
 from tests.unit.training.iep.small import stages
 from training.iep.examples import Example
 from training.iep.stages import Stages

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import torch
 
-from scene_attack.targets.iep.engine import Engine
+from scene_attack_questions.iep.engine import Engine
 from tests.unit.training.iep.conftest import Data
 from training.iep.engine_training import EVERYTHING_FROM, Draw, chances, engine_step, execute
 from training.iep.export import answers, by_family

@@ -8,12 +8,12 @@ from torch import Tensor
 
 from scene_attack.analysis.verdict import wilson
 from scene_attack.errors import InvalidRequest
-from scene_attack.targets.iep.assembly import Question, assemble
-from scene_attack.targets.iep.checkpoint import Checkpoint
-from scene_attack.targets.iep.engine import Network
 from scene_attack_questions.executor import ANSWERS
+from scene_attack_questions.iep.assembly import Question, assemble
+from scene_attack_questions.iep.checkpoint import Checkpoint
+from scene_attack_questions.iep.engine import Network
 from scene_attack_questions.program import Node, Program
-from tests.unit.targets.iep import world
+from tests.unit.questions.iep import world
 from training.iep import export
 from training.iep.data import shard
 from training.iep.examples import Example

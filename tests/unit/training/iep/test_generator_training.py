@@ -3,7 +3,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from scene_attack.targets.iep.program_generator import ProgramGenerator
+from scene_attack_questions.iep.program_generator import ProgramGenerator
 from tests.unit.training.iep.conftest import Data
 from training.iep.generator_training import generator_step, right_programs
 from training.loop import Schedule, TrainingLoop

@@ -3,8 +3,8 @@ from math import exp, log
 import pytest
 import torch
 
-from scene_attack.targets.iep.assembly import Question, assemble
-from scene_attack.targets.iep.engine import Engine
+from scene_attack_questions.iep.assembly import Question, assemble
+from scene_attack_questions.iep.engine import Engine
 from scene_attack_questions.program import Node, Program
 from training.iep.engine_training import engine_loss, mask_loss, occupancy
 from training.iep.examples import Example

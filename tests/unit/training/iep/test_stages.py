@@ -7,7 +7,7 @@ import torch
 
 from scene_attack.errors import InvalidRequest
 from scene_attack.scenes.library import Library
-from scene_attack.targets.iep.checkpoint import load
+from scene_attack_questions.iep.checkpoint import load
 from tests.unit.training.iep.small import RECIPE, After, never, silent, stages
 from training.iep.export import check, write
 from training.iep.stages import Stages

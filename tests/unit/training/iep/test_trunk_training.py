@@ -1,8 +1,8 @@
 import pytest
 import torch
 
-from scene_attack.targets.iep.engine import Engine
 from scene_attack_questions.clevr.records import ATTRIBUTES
+from scene_attack_questions.iep.engine import Engine
 from training.iep.examples import ObjectTruth
 from training.iep.trunk_training import ObjectFinder, Truth, hand_over, trunk_accuracy, trunk_loss
 

@@ -7,15 +7,15 @@ import pytest
 import torch
 
 from scene_attack.rendering.protocol import Parameters
-from scene_attack.runs.questions import AskedQuestion
-from scene_attack.runs.scene_limits import SceneLimits
 from scene_attack.scenes.view import camera_pose
 from scene_attack_questions.clevr.description import describe, rig_of
 from scene_attack_questions.clevr.generator import generate
 from scene_attack_questions.clevr.records import RADIUS, RGB, VERTICAL_FIELD_OF_VIEW, SceneRecord, Viewpoint
 from scene_attack_questions.executor import Facts, answer, kind_asked
 from scene_attack_questions.program import Program
-from tests.unit.targets.iep.seeded import program
+from scene_attack_questions.scene_limits import SceneLimits
+from scene_attack_questions.task import AskedQuestion
+from tests.unit.questions.iep.seeded import program
 
 pytestmark = pytest.mark.slow
 

@@ -1,10 +1,11 @@
-"""Registers IEP as a target. Its weights are `weights/iep.safetensors`, in the folder of the networks that ship."""
+"""Registers IEP as a target. Its weights are `iep.safetensors` beside this file."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
-from scene_attack.targets.info import TargetInfo, register, shipped
+from scene_attack.plugin import TargetInfo, register_target
 from scene_attack_questions.executor import ANSWERS
 
 if TYPE_CHECKING:
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
 CARD = TargetInfo(
     name="iep",
     title="Inferring and executing programs, CLEVR's 28 answers",
-    task="question answering",
+    task="questions",
     input_size=(240, 320),
     classes=len(ANSWERS),
     differentiable=True,
@@ -27,9 +28,9 @@ CARD = TargetInfo(
 )
 
 
-@register(CARD, lambda: ANSWERS)
+@register_target(CARD, lambda: ANSWERS)
 def load(dtype: torch.dtype) -> Target:
     """Loads the network. Raises InvalidRequest("target.name") if its weights are missing or are not this version's."""
-    from scene_attack.targets.iep.target import read
+    from scene_attack_questions.iep.target import read
 
-    return read(CARD.name, shipped(f"{CARD.name}.safetensors"), dtype)
+    return read(CARD.name, Path(__file__).with_name(f"{CARD.name}.safetensors"), dtype)

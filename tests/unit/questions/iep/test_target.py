@@ -6,15 +6,15 @@ from torch.nn import functional as F
 
 from scene_attack.errors import InvalidRequest
 from scene_attack.targets import registry
-from scene_attack.targets.iep.assembly import Question, assemble
-from scene_attack.targets.iep.card import CARD
-from scene_attack.targets.iep.checkpoint import Checkpoint, load, to_bytes
-from scene_attack.targets.iep.program_generator import TOKENS, ProgramGenerator
-from scene_attack.targets.iep.target import IepTarget, read
 from scene_attack_questions.executor import ANSWERS
+from scene_attack_questions.iep.assembly import Question, assemble
+from scene_attack_questions.iep.card import CARD
+from scene_attack_questions.iep.checkpoint import Checkpoint, load, to_bytes
+from scene_attack_questions.iep.program_generator import TOKENS, ProgramGenerator
+from scene_attack_questions.iep.target import IepTarget, read
 from scene_attack_questions.program import InvalidProgram, program_in, written
 from scene_attack_questions.text import UnknownWord
-from tests.unit.targets.iep.seeded import COUNT, INFO, SAME, TAUGHT, generator, network, program, target
+from tests.unit.questions.iep.seeded import COUNT, INFO, SAME, TAUGHT, generator, network, program, target
 
 pytestmark = pytest.mark.slow
 

@@ -19,14 +19,14 @@ from torch.nn import functional as F
 
 from scene_attack.errors import InvalidRequest
 from scene_attack.process import describe, device
-from scene_attack.targets.iep.assembly import MAPPED, Question, assemble
-from scene_attack.targets.iep.checkpoint import HOW_TO_GET_WEIGHTS, Checkpoint, load
-from scene_attack.targets.iep.engine import IMAGE
 from scene_attack_questions.executor import ANSWERS
+from scene_attack_questions.iep.assembly import MAPPED, Question, assemble
+from scene_attack_questions.iep.checkpoint import HOW_TO_GET_WEIGHTS, Checkpoint, load
+from scene_attack_questions.iep.engine import IMAGE
 from scene_attack_questions.program import InvalidProgram, Program, program_in
 
 if TYPE_CHECKING:
-    from scene_attack.targets.iep.engine import Execution
+    from scene_attack_questions.iep.engine import Execution
 
 PROGRAMS = 1024
 """Number of questions whose programs are remembered."""

@@ -2,9 +2,9 @@ from random import Random
 
 import pytest
 
-from scene_attack.targets.iep.program_generator import TOKENS, from_prefix, to_prefix
+from scene_attack_questions.iep.program_generator import TOKENS, from_prefix, to_prefix
 from scene_attack_questions.program import InvalidProgram
-from tests.unit.targets.iep import world
+from tests.unit.questions.iep import world
 
 COMPARED = [
     "equal_color",

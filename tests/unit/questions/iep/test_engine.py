@@ -6,10 +6,10 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from scene_attack.targets.iep.assembly import COMPARING, JOINING, MAPPING, READING, Question, assemble
-from scene_attack.targets.iep.engine import N_CELLS, Engine
+from scene_attack_questions.iep.assembly import COMPARING, JOINING, MAPPING, READING, Question, assemble
+from scene_attack_questions.iep.engine import N_CELLS, Engine
 from scene_attack_questions.program import Program
-from tests.unit.targets.iep import seeded, world
+from tests.unit.questions.iep import seeded, world
 
 pytestmark = pytest.mark.slow
 

@@ -1,8 +1,8 @@
 import pytest
 
-from scene_attack.targets.iep.assembly import COMPARING, JOINING, KINDS, MAPPING, READING, Question, assemble
+from scene_attack_questions.iep.assembly import COMPARING, JOINING, KINDS, MAPPING, READING, Question, assemble
 from scene_attack_questions.program import InvalidProgram
-from tests.unit.targets.iep.seeded import program
+from tests.unit.questions.iep.seeded import program
 
 pytestmark = pytest.mark.slow
 

@@ -7,10 +7,10 @@ import torch
 from torch import Tensor
 
 from scene_attack.attacks.goal import ResolvedGoal
-from scene_attack.runs.questions import Together, goals_together, outcome_of
 from scene_attack.runs.spec import Goal
-from scene_attack.targets.protocol import ProgramTarget
 from scene_attack_questions.executor import ANSWERS, KINDS
+from scene_attack_questions.target import ProgramTarget
+from scene_attack_questions.task import Together, goals_together, outcome_of
 
 
 class Scores:

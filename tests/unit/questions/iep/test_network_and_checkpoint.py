@@ -4,11 +4,11 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
-from scene_attack.targets.iep.assembly import Question, assemble
-from scene_attack.targets.iep.checkpoint import MAX_BYTES, load, to_bytes
-from scene_attack.targets.iep.engine import CHANNELS, Network, Trunk
-from scene_attack.targets.iep.program_generator import ProgramGenerator
-from tests.unit.targets.iep.seeded import program
+from scene_attack_questions.iep.assembly import Question, assemble
+from scene_attack_questions.iep.checkpoint import MAX_BYTES, load, to_bytes
+from scene_attack_questions.iep.engine import CHANNELS, Network, Trunk
+from scene_attack_questions.iep.program_generator import ProgramGenerator
+from tests.unit.questions.iep.seeded import program
 
 ASSEMBLY = assemble([Question(program("scene", "filter_size 0 large", "count 1"))])
 

@@ -4,7 +4,7 @@ from typing import Any
 
 from scene_attack_questions.clevr.description import describe
 from scene_attack_questions.clevr.generator import generate
-from tests.unit.targets.iep.seeded import INFO, program
+from tests.unit.questions.iep.seeded import INFO, program
 
 RECORD = generate(8, 2, objects=(4, 4))
 SCENE = describe(RECORD, (60, 80)).model_copy(update={"shadows": None})

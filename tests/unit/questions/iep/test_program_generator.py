@@ -2,7 +2,7 @@ import pytest
 import torch
 
 from scene_attack.errors import InvalidRequest
-from scene_attack.targets.iep.program_generator import TOKENS, ProgramGenerator
+from scene_attack_questions.iep.program_generator import TOKENS, ProgramGenerator
 from scene_attack_questions.program import InvalidProgram, Program
 from scene_attack_questions.text import UnknownWord, encoded
 

@@ -19,8 +19,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from scene_attack.targets.iep.assembly import COMPARING, JOINING, MAPPED, MAPPING, READING, Assembly, Call, Slot
 from scene_attack_questions.executor import ANSWERS
+from scene_attack_questions.iep.assembly import COMPARING, JOINING, MAPPED, MAPPING, READING, Assembly, Call, Slot
 
 IMAGE = (240, 320)
 """Height and width of the images, in pixels."""

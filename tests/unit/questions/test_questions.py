@@ -18,12 +18,12 @@ from scene_attack.runs.preview import preview
 from scene_attack.runs.result import ATTENTION
 from scene_attack.runs.spec import JobSpec, digest, parse
 from scene_attack.targets import registry
-from scene_attack.targets.iep.target import IepTarget
 from scene_attack_questions.clevr.description import describe
 from scene_attack_questions.executor import ANSWERS, KINDS, Facts, answer
+from scene_attack_questions.iep.target import IepTarget
 from tests.unit.jobs.small import LIBRARY, SPHERE
-from tests.unit.runs.question_requests import ATTACK, RECORD, asking, calls
-from tests.unit.targets.iep.seeded import INFO, TAUGHT, favouring, program, target
+from tests.unit.questions.iep.seeded import INFO, TAUGHT, favouring, program, target
+from tests.unit.questions.question_requests import ATTACK, RECORD, asking, calls
 
 pytestmark = pytest.mark.slow
 
@@ -184,7 +184,7 @@ def test_the_verdict_uses_the_truth_of_the_attacked_scene(run: Any, monkeypatch:
     """An answer that follows a change of the scene is right, whatever was right before."""
     before = run(attack=ATTACK | {"steps": 40})
     answered = before.questions[0].after.label
-    monkeypatch.setattr("scene_attack.runs.questions.AskedQuestion.right_after", lambda *_: answered)
+    monkeypatch.setattr("scene_attack_questions.task.AskedQuestion.right_after", lambda *_: answered)
     after = run(attack=ATTACK | {"steps": 40})
     assert after.questions[0].after.label == answered
     assert (before.outcome, after.outcome) == ("fooled", "held")

@@ -14,11 +14,11 @@ from safetensors.torch import save
 from torch import Tensor, nn
 
 from scene_attack.errors import summary
-from scene_attack.targets.iep.assembly import KINDS
-from scene_attack.targets.iep.engine import Network
-from scene_attack.targets.iep.program_generator import TOKENS, ProgramGenerator
 from scene_attack.targets.weights_file import dequantize, quantize, read_tensors
 from scene_attack_questions.executor import ANSWERS
+from scene_attack_questions.iep.assembly import KINDS
+from scene_attack_questions.iep.engine import Network
+from scene_attack_questions.iep.program_generator import TOKENS, ProgramGenerator
 from scene_attack_questions.text import WORDS
 
 MAX_BYTES = 10_000_000

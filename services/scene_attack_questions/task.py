@@ -1,11 +1,11 @@
 """The questions of a job: their programs, their right answers by the scene's record, the goal, and their results.
 
-Several questions about one image are attacked together, as a network of two answers (`Together`).
+One that answers by the program of its question is judged by the scene's record; of any other nothing but the scores is
+known. Several questions about one image are attacked together, as a network of two answers (`Together`).
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import isclose
 from pathlib import Path
 
 import torch
@@ -21,27 +21,23 @@ from scene_attack.errors import InvalidRequest
 from scene_attack.rendering.color import from_bytes
 from scene_attack.rendering.protocol import Parameters
 from scene_attack.rendering.pyrender.declaration import PYRENDER
+from scene_attack.runs.classification import Classification, seen
 from scene_attack.runs.described import can_carry, described
-from scene_attack.runs.goals import Classification, Settled
 from scene_attack.runs.result import ATTENTION, Asked, Attended, FirstAnswer, QuestionResult
-from scene_attack.runs.scene_limits import SceneLimits
-from scene_attack.runs.spec import Call, Goal, JobSpec, asked_goal
-from scene_attack.scenes.description import Camera, Scene, SceneObject
+from scene_attack.runs.spec import AskedGoal, Call, Goal, JobSpec, asked_goal
+from scene_attack.runs.task import Settled, Task
+from scene_attack.scenes.description import Scene
 from scene_attack.targets import registry
-from scene_attack.targets.protocol import ProgramTarget, Target
-from scene_attack_questions.clevr.description import record_after, scene_of
-from scene_attack_questions.clevr.records import IMAGE_SIZE, SceneRecord
+from scene_attack.targets.protocol import QuestionTarget, Target
+from scene_attack_questions.clevr.description import record_after
+from scene_attack_questions.clevr.records import SceneRecord
 from scene_attack_questions.executor import ANSWERS, KINDS, Facts, IllPosed, answer, kind_asked
 from scene_attack_questions.program import InvalidProgram, Program, Type, program_in
+from scene_attack_questions.scene_limits import SceneLimits
+from scene_attack_questions.target import ProgramTarget
 from scene_attack_questions.text import difference
 
 FIELD = "target.question"
-PROPORTION = 0.01
-"""Largest relative difference of an image's proportions from those of CLEVR's."""
-ROUNDING = 1e-6
-"""Largest difference between a scene and the one that follows from its record, for a record that was described on
-another machine, whose trigonometric functions round differently."""
-
 SCALE = 16
 """Pixels of an attention image for each side of a cell."""
 TOGETHER_LABELS = ("an answer stays", "all answers have left")
@@ -79,9 +75,26 @@ class AskedQuestion:
             return None
 
 
+def task_of(spec: JobSpec, network: Target, asked: AskedGoal) -> Task:
+    """Returns the task of a request to a network that answers questions, given the goal in the network's labels.
+
+    Raises InvalidRequest where there is no question, for several to a network that takes one, for a kind of answers to
+    leave where it is not known, and as `asked_questions` and `QuestionTask` do.
+    """
+    choice = spec.target
+    if choice.question is None and not choice.questions:
+        raise InvalidRequest(FIELD, f"is required: {network.name} answers questions")
+    if isinstance(network, ProgramTarget):
+        return QuestionTask(network, asked_questions(spec, network), spec)
+    if choice.questions:
+        raise InvalidRequest(f"{FIELD}s", f"{network.name} takes one question")
+    assert isinstance(network, QuestionTarget)
+    assert choice.asked is not None
+    return seen(spec, network.asked(choice.asked), asked, choice.asked)
+
+
 class QuestionTask:
-    """Questions about a scene after CLEVR, whose right answers follow from its record. Its methods are those of
-    `Classification`.
+    """Questions about a scene after CLEVR, whose right answers follow from its record: a `Task`.
 
     One is attacked as a classification of answers, several are attacked together.
     """
@@ -104,7 +117,7 @@ class QuestionTask:
 
     @torch.no_grad()
     def settle(self, original: Tensor, logits: Tensor) -> Settled:
-        """As `Classification.settle` does for one question.
+        """As a classification is settled for one question.
 
         Raises InvalidRequest ("target.questions.1") for one of several that the network gets wrong, as there is nothing
         to attack.
@@ -254,46 +267,6 @@ def _right(program: Program, record: SceneRecord, field: str, question: object) 
         raise InvalidRequest(f"{field}.{error.node}" if isinstance(question, tuple) else field, error.detail) from error
     except InvalidRequest as error:
         raise InvalidRequest(field, error.detail) from error
-
-
-def check_scene(scene: Scene, record: SceneRecord) -> None:
-    """Checks a scene that is given beside its record.
-
-    Raises InvalidRequest("scene") unless objects and camera are those of the record, and as `scene_of` does.
-    Raises InvalidRequest("scene.camera.size") for an image of other proportions, whose frame would be another.
-    """
-    due = scene_of(record)
-    same = len(scene.objects) == len(due.objects) and all(
-        _is_same(thing, other) for thing, other in zip(scene.objects, due.objects, strict=True)
-    )
-    if not same or not _is_seen_from(scene.camera, due.camera):
-        raise InvalidRequest("scene", "its objects and camera are not those of `record`; leave it out")
-    rows, columns = scene.camera.size
-    if not isclose(rows / columns, IMAGE_SIZE[0] / IMAGE_SIZE[1], rel_tol=PROPORTION):
-        raise InvalidRequest(
-            "scene.camera.size", f"{rows}×{columns} has not the proportions of CLEVR's images, 3 to 4, as 240×320 has"
-        )
-    if Facts.of(record_after(record, scene)) != Facts.of(record):
-        raise InvalidRequest("record", "its attributes and relations are not those of its objects")
-
-
-def _is_same(thing: SceneObject, other: SceneObject) -> bool:
-    fields = ("mesh", "material", "metallic", "roughness")
-    vectors = ("color", "translation", "rotation")
-    return (
-        all(getattr(thing, name) == getattr(other, name) for name in fields)
-        and isclose(thing.scale, other.scale, abs_tol=ROUNDING)
-        and all(
-            isclose(a, b, abs_tol=ROUNDING)
-            for name in vectors
-            for a, b in zip(getattr(thing, name), getattr(other, name), strict=True)
-        )
-    )
-
-
-def _is_seen_from(camera: Camera, other: Camera) -> bool:
-    places = ("azimuth", "elevation", "distance", "field_of_view")
-    return all(isclose(getattr(camera, name), getattr(other, name), abs_tol=ROUNDING) for name in places)
 
 
 class Together:

@@ -5,12 +5,12 @@ from functools import cache
 import torch
 from torch.nn import functional as F
 
-from scene_attack.targets.iep.card import CARD
-from scene_attack.targets.iep.checkpoint import Checkpoint
-from scene_attack.targets.iep.engine import Network
-from scene_attack.targets.iep.program_generator import TOKENS, ProgramGenerator, to_prefix
-from scene_attack.targets.iep.target import IepTarget
 from scene_attack_questions.executor import ANSWERS
+from scene_attack_questions.iep.card import CARD
+from scene_attack_questions.iep.checkpoint import Checkpoint
+from scene_attack_questions.iep.engine import Network
+from scene_attack_questions.iep.program_generator import TOKENS, ProgramGenerator, to_prefix
+from scene_attack_questions.iep.target import IepTarget
 from scene_attack_questions.program import Node, Program
 from scene_attack_questions.text import encoded
 

@@ -10,8 +10,8 @@ from scene_attack.runs.prepare import plan, prepare
 from scene_attack.runs.spec import parse
 from scene_attack.targets import registry
 from tests.unit.jobs.small import LIBRARY, SPHERE
-from tests.unit.runs.question_requests import RECORD, WHERE, asking, calls, several
-from tests.unit.targets.iep.seeded import INFO, target
+from tests.unit.questions.iep.seeded import INFO, target
+from tests.unit.questions.question_requests import RECORD, WHERE, asking, calls, several
 
 
 @pytest.fixture(autouse=True)

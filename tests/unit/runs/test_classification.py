@@ -7,8 +7,8 @@ import torch
 
 from scene_attack.attacks.goal import ResolvedGoal
 from scene_attack.errors import InvalidRequest
-from scene_attack.runs import goals, spec
-from scene_attack.runs.goals import Settled
+from scene_attack.runs import classification, spec
+from scene_attack.runs.classification import Settled
 from scene_attack.runs.spec import MAX_LABELS, Goal
 from scene_attack.targets.info import TargetInfo
 from scene_attack.targets.labels import truth_labels
@@ -25,7 +25,7 @@ def settled(
     """The goal, of a network that answers `first` with this confidence."""
     logits = torch.full((5,), (1 - confidence) / 4, dtype=torch.float64)
     logits[LABELS.index(first)] = confidence
-    return goals.settle(spec.asked_goal(Goal.model_validate(goal), target, LABELS), table, logits.log())
+    return classification.settle(spec.asked_goal(Goal.model_validate(goal), target, LABELS), table, logits.log())
 
 
 def codes(found: Settled) -> list[str]:
@@ -132,9 +132,9 @@ def test_a_goal_of_more_labels_than_a_request_may_name_is_refused() -> None:
     leave, truth = labels[:MAX_LABELS], (labels[0], *labels[MAX_LABELS : 2 * MAX_LABELS - 1])
     info = IMAGENET.model_copy(update={"vocabulary": "custom"})
     with pytest.raises(InvalidRequest, match="more than 1,000 labels; name fewer") as refused:
-        goals.settle(spec.asked_goal(Goal(truth=truth, leave=leave), info, labels), (), logits)
+        classification.settle(spec.asked_goal(Goal(truth=truth, leave=leave), info, labels), (), logits)
     assert refused.value.field == "goal.truth"
-    goals.settle(spec.asked_goal(Goal(truth=leave, leave=leave), info, labels), (), logits)
+    classification.settle(spec.asked_goal(Goal(truth=leave, leave=leave), info, labels), (), logits)
 
 
 def test_an_unsure_answer_is_warned_of() -> None:
@@ -171,20 +171,22 @@ def test_a_scene_has_the_truth_that_its_objects_share() -> None:
     labels = ("upright", "soccer ball", "grand piano")
 
     def truth(*meshes: str, target: TargetInfo = IMAGENET) -> tuple[int, ...]:
-        return goals.table_truth([f"furniture/{mesh}" for mesh in meshes], target, labels)
+        return classification.table_truth([f"furniture/{mesh}" for mesh in meshes], target, labels)
 
     assert truth("soccer-ball") == truth("soccer-ball", "soccer-ball") == (1,)
     assert truth("soccer-ball", "grand-piano") == ()
     assert truth("soccer-ball", "chair") == (), "of the chair nobody knows"
     assert truth("chair") == truth("no-such-thing") == ()
     assert truth("soccer-ball", target=OTHER) == ()
-    assert goals.table_truth(["primitive/sphere"], IMAGENET, labels) == ()
-    assert goals.table_truth(["furniture/soccer-ball"], IMAGENET, ("upright",)) == (), "a label that it has not"
+    assert classification.table_truth(["primitive/sphere"], IMAGENET, labels) == ()
+    assert classification.table_truth(["furniture/soccer-ball"], IMAGENET, ("upright",)) == (), (
+        "a label that it has not"
+    )
 
 
 def test_for_a_network_of_kinds_the_truth_is_the_kind() -> None:
     kinds = IMAGENET.model_copy(update={"vocabulary": "furniture-14"})
     assert truth_labels(kinds, "furniture/couch") == ("sofa",)
     assert truth_labels(kinds, "furniture/no-such-thing") == ()
-    assert goals.table_truth(["furniture/couch"], kinds, ("chair", "sofa")) == (1,)
-    assert goals.table_truth(["furniture/couch"], kinds, ("chair", "table")) == ()
+    assert classification.table_truth(["furniture/couch"], kinds, ("chair", "sofa")) == (1,)
+    assert classification.table_truth(["furniture/couch"], kinds, ("chair", "table")) == ()

@@ -1,8 +1,4 @@
-"""Questions to a network and the judgement of its answers: the truth, the labels to leave, and the label to reach.
-
-`Classification` is the task of a network that says what it sees. That of a network that answers questions about scenes
-after CLEVR, `questions.QuestionTask`, has the same methods.
-"""
+"""Classification: the task of a network that says what it sees. The truth, the labels to leave, the label to reach."""
 
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
@@ -17,8 +13,10 @@ from scene_attack.analysis.verdict import Verdict, judge
 from scene_attack.attacks.goal import ResolvedGoal
 from scene_attack.errors import InvalidRequest
 from scene_attack.rendering.protocol import Parameters
-from scene_attack.runs.result import Asked, FirstAnswer, JobWarning, QuestionResult, warnings
-from scene_attack.runs.spec import MAX_LABELS, AskedGoal, Goal, with_same
+from scene_attack.runs.result import Asked, FirstAnswer, QuestionResult, warnings
+from scene_attack.runs.spec import MAX_LABELS, AskedGoal, Goal, JobSpec, with_same
+from scene_attack.runs.task import Settled, register_task
+from scene_attack.targets import registry
 from scene_attack.targets.info import TargetInfo
 from scene_attack.targets.labels import truth_labels
 from scene_attack.targets.protocol import Target
@@ -26,48 +24,28 @@ from scene_attack.targets.scores import probability
 
 
 @dataclass(frozen=True)
-class Settled:
-    """A goal after the network has answered for the original image."""
-
-    spec: Goal
-    """The goal of the request with the truth and the labels to leave filled in."""
-    goal: ResolvedGoal
-    truth: tuple[int, ...]
-    """The labels that are right; empty if nobody knows them."""
-    warnings: tuple[JobWarning, ...]
-
-
-@dataclass(frozen=True)
 class Classification:
-    """A network that says what it sees, or answers a question of which nothing but the scores is known."""
+    """A network that says what it sees, or answers a question of which nothing but the scores is known: a `Task`."""
 
     target: Target
-    """The network under attack, with its question if it takes one."""
     asked: AskedGoal
     table: tuple[int, ...]
     """The labels that the reviewed table says are right for the scene (`table_truth`)."""
     question: str | None
 
     def settle(self, original: Tensor, logits: Tensor) -> Settled:  # noqa: ARG002 - several questions need it
-        """Settles the goal, given the original image, uint8 [H, W, 3], and the target's scores [K] of it.
-
-        Raises InvalidRequest for a goal that cannot be met or is met already.
-        """
+        """By the truth of the request, or of the table."""
         return settle(self.asked, self.table, logits)
 
     def constraint(self, renderer: str, initial: Parameters) -> None:
-        """The limits of the search beside those of the request; `initial` are the attacked groups' values. There are
-        none: only the answer to a question depends on where things are.
-        """
+        """None: what a thing is does not depend on where it is."""
 
     def stated(self) -> tuple[Asked, ...]:
-        """The questions with their programs and right answers, as plans and results state them. There are none: the
-        program of the question is not known, if there is one.
-        """
+        """None: the program of the question is not known, if there is one."""
         return ()
 
     def first_answers(self, original: Tensor, logits: Tensor, goal: ResolvedGoal) -> tuple[FirstAnswer, ...]:  # noqa: ARG002
-        """The answers to the original image, one for each question."""
+        """One answer."""
         return (FirstAnswer(question=self.question, answer=answer(logits, self.target.labels, goal)),)
 
     def judge(
@@ -79,13 +57,30 @@ class Classification:
         after: ScoredImage,
         out: Path,  # noqa: ARG002
     ) -> tuple[Verdict, list[QuestionResult]]:
-        """Returns the outcome of the attack and the records of the questions, whose files are written into `out`.
-
-        `stored` is the perturbation, drawn by `renderer`; `before` and `after` are the exact images without and with
-        it. The outcome follows from the truth, the answers before and after, and whether the goal is met.
-        """
+        """By the truth and the scores alone."""
         first, last = int(before.logits.argmax()), int(after.logits.argmax())
         return judge(settled.truth, first, last, bool(settled.goal.fooled(after.logits))), []
+
+
+@register_task("classification")
+def classification(spec: JobSpec, network: Target, asked: AskedGoal) -> Classification:
+    """Raises InvalidRequest for a question, and for a kind of answers to leave."""
+    choice = spec.target
+    if choice.question is not None or choice.questions:
+        field = "target.question" if choice.question is not None else "target.questions.0"
+        raise InvalidRequest(field, f"{network.name} answers no questions; leave it out")
+    return seen(spec, network, asked)
+
+
+def seen(spec: JobSpec, target: Target, asked: AskedGoal, question: str | None = None) -> Classification:
+    """The classification of a job's image by a target that has scores, such as one that was asked a question.
+
+    Raises InvalidRequest for a kind of answers to leave.
+    """
+    if spec.goal.leave_kind:
+        raise InvalidRequest("goal.leave_kind", "only a question has a kind of answers; leave it out")
+    table = table_truth((thing.mesh for thing in spec.scene.objects), registry.card(spec.target.name), asked.labels)
+    return Classification(target, asked, table, question)
 
 
 def table_truth(meshes: Iterable[str], target: TargetInfo, labels: tuple[str, ...]) -> tuple[int, ...]:

@@ -1,0 +1,39 @@
+"""The product with the plug-in of questions left out."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.integration.specs import QUICK
+from tests.unit.client.command_line import process
+
+pytestmark = pytest.mark.integration
+WITHOUT = ("--without-plugin", "questions")
+
+
+def test_its_network_is_not_listed_and_all_others_are() -> None:
+    names = [
+        {target["name"] for target in json.loads(process(*left_out, "targets", "--json").stdout)}
+        for left_out in ((), WITHOUT)
+    ]
+    assert names[0] - names[1] == {"iep"}
+
+
+def test_a_job_runs_as_with_it(tmp_path: Path) -> None:
+    (tmp_path / "job.json").write_text(json.dumps(QUICK))
+    answers = []
+    for left_out in ((), WITHOUT):
+        out = tmp_path / f"out{len(left_out)}"
+        done = process(*left_out, "run", str(tmp_path / "job.json"), "--out", str(out))
+        assert done.returncode == 0, done.stderr
+        result = json.loads((out / "result.json").read_text())
+        answers.append({name: result[name] for name in ("spec", "verdict", "original", "attacked", "change")})
+    assert answers[0] == answers[1]
+
+
+def test_a_name_that_there_is_not_is_refused() -> None:
+    done = process("--without-plugin", "question", "targets")
+    assert done.returncode == 2
+    assert "SCENE_ATTACK_WITHOUT_PLUGINS: there is no plug-in 'question'" in done.stderr
+    assert "questions" in done.stderr
