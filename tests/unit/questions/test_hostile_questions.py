@@ -9,9 +9,10 @@ import pytest
 from scene_attack.errors import InvalidRequest
 from scene_attack.runs.campaign_spec import parse as parse_campaign
 from scene_attack.runs.spec import parse
+from scene_attack_questions.clevr.description import describe
 from scene_attack_questions.clevr.generator import generate
 from scene_attack_questions.clevr.records import SceneRecord
-from scene_attack_questions.given_scene import check_scene, describe
+from scene_attack_questions.given_scene import check_scene
 
 RECORD = generate(8, 2, objects=(4, 4)).model_dump(mode="json", by_alias=True)
 MANY = 60_000
