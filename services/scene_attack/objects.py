@@ -201,6 +201,7 @@ def target(
     labels: Sequence[str] | str | None = None,
     preprocessing: Preprocessing | Mapping[str, Any] | None = None,
     name: str = MODULE,
+    options: Options | None = None,
 ) -> Target:
     """A network of this process as a target: a torch module, or a function of images.
 
@@ -208,8 +209,10 @@ def target(
     function does the same with float32 CPU tensors, and may return any array; only methods without gradients attack it.
     `labels` names the scores: a list, "imagenet" for ImageNet's 1,000 in their usual order, with which library meshes
     have their truth, or None for "0" to "K-1". `preprocessing` says how an image becomes the input. A target is
-    returned as it is. Raises InvalidRequest, which names the argument.
+    returned as it is. `options` default to those of the SCENE_ATTACK_ variables. Raises InvalidRequest, which names the
+    argument.
     """
+    _set_up(options)
     return _target(network, name, labels, preprocessing)
 
 

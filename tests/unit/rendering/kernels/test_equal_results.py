@@ -15,14 +15,11 @@ ATTACK = """
 import json
 import torch
 import scene_attack as sa
-from scene_attack.options import Options
-from scene_attack.process import use
 
 torch.manual_seed(0)
 torch.set_num_threads(1)
 layers = [torch.nn.Conv2d(3, 8, 3, 2), torch.nn.ReLU(), torch.nn.Flatten(), torch.nn.Linear(1800, 4)]
 network = torch.nn.Sequential(*layers).requires_grad_(False).eval()
-use(Options.of_environment())
 small = sa.Preprocessing(input_size=(32, 32))
 target = sa.target(network, labels=list("abcd"), preprocessing=small)
 scene = sa.Scene(camera=sa.Camera(size=(64, 64)), objects=[sa.Object(mesh="primitive/torus", material="plastic")])
