@@ -131,7 +131,7 @@ def test_the_digest_moves_with_the_contents_of_a_map(library, assets, tmp_path):
 
     (tmp_path / "environments").mkdir()
     (tmp_path / "environments" / "studio.exr").write_bytes((assets / "environments" / "city.exr").read_bytes())
-    other = Library(tmp_path, tmp_path / "data")
+    other = Library(tmp_path, tmp_path / "data", packaged=False)
     assert resolve(scene(), other).sha256 != resolve(scene(), library).sha256
 
 
