@@ -18,6 +18,7 @@ from typing import Any, cast
 
 from scene_attack import disk
 from scene_attack.errors import InvalidRequest
+from scene_attack.extras import MissingExtra, extra
 
 CONNECT_SECONDS = 5
 READ_SECONDS = 20
@@ -157,7 +158,8 @@ def blobs(place: Path | str, part: str) -> Blobs:
         if not rest.startswith("/"):
             raise InvalidRequest(SETTING, "must be a URL such as s3://bucket/folder or file:///absolute/folder")
         return Folder(Path(rest) / part)
-    from fsspec.core import url_to_fs
+    with extra("s3", f"a store at {scheme}://", SETTING):
+        from fsspec.core import url_to_fs
 
     # What other machines write must be seen, so nothing is remembered of a listing.
     options: dict[str, Any] = {"use_listings_cache": False, "skip_instance_cache": True}
@@ -165,8 +167,11 @@ def blobs(place: Path | str, part: str) -> Blobs:
         options["config_kwargs"] = {"connect_timeout": CONNECT_SECONDS, "read_timeout": READ_SECONDS}
     try:
         files, prefix = url_to_fs(place, **options)
-    except (ImportError, ValueError) as error:
-        detail = f"{str(error)[:200]}; S3 needs the extra: pip install 'scene-attack[s3]'"
+    except ImportError as error:
+        detail = f'a store at {scheme}:// needs the extra "s3": pip install "scene-attack[s3]"'
+        raise MissingExtra(SETTING, detail) from error
+    except ValueError as error:
+        detail = f"must be a URL such as s3://bucket/folder or file:///absolute/folder: {str(error)[:200]}"
         raise InvalidRequest(SETTING, detail) from error
     return Objects(files, f"{prefix.rstrip('/')}/{part}")
 

@@ -5,31 +5,46 @@ from contextlib import contextmanager
 
 from scene_attack.errors import InvalidRequest
 
-EXTRAS = ("service", "questions", "accuracy", "onnx", "formats", "export", "postgresql", "s3", "maite", "pandas")
-"""The extras of pyproject.toml that a user may need."""
+MODULES = {
+    "service": (
+        "alembic",
+        "fastapi",
+        "jinja2",
+        "markupsafe",
+        "prometheus_client",
+        "pydantic_settings",
+        "python_multipart",
+        "redis",
+        "rq",
+        "sqlalchemy",
+        "starlette",
+        "uvicorn",
+        "uvloop",
+        "yaml",
+    ),
+    "formats": ("Imath", "OpenEXR", "collada", "lxml", "networkx"),
+    "export": ("OpenEXR", "jinja2", "matplotlib"),
+    "onnx": ("google", "onnx", "onnxruntime"),
+    "pandas": ("pandas",),
+    "postgresql": ("psycopg",),
+    "s3": ("botocore", "fsspec", "s3fs"),
+}
+"""The modules that code imports only where an extra is asked for, by the extra."""
 
 
 class MissingExtra(InvalidRequest):
-    """What was asked for needs packages that are not installed. `field` is what was asked for.
-
-    It is an error of the request, because another request needs no such package. Its text has no field in front.
-    """
-
-    def __str__(self) -> str:
-        return self.detail
+    """What was asked for needs packages that are not installed: an error of this request, as another needs them not."""
 
 
 @contextmanager
-def extra(name: str, subject: str) -> Iterator[None]:
-    """Turns an ImportError of the block into MissingExtra: "<subject> needs the extra <name>", and how to install it.
-
-    `name` is one of EXTRAS. A module of this project that is missing is no missing package: its error passes.
+def extra(name: str, subject: str, field: str = "installation") -> Iterator[None]:
+    """Turns the error of a missing module of the extra `name` into MissingExtra(field): that the subject needs the
+    extra, and how it is installed. Any other error passes.
     """
-    assert name in EXTRAS
     try:
         yield
-    except ImportError as error:
-        if (error.name or "").startswith("scene_attack"):
+    except ModuleNotFoundError as error:
+        if (error.name or "").partition(".")[0] not in MODULES[name]:
             raise
         command = f'pip install "scene-attack[{name}]"'
-        raise MissingExtra(subject, f'{subject} needs the extra "{name}": {command}') from error
+        raise MissingExtra(field, f'{subject} needs the extra "{name}": {command}') from error

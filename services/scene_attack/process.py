@@ -11,9 +11,9 @@ import os
 import platform
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import lru_cache
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -136,4 +136,8 @@ def finite(values: "Tensor") -> bool:
 @lru_cache
 def versions(*packages: str) -> dict[str, str]:
     """Returns the versions of Python and of the installed `packages` by name. Cached, as reading takes milliseconds."""
-    return {"python": platform.python_version()} | {name: version(name) for name in packages}
+    found = {"python": platform.python_version()}
+    for name in packages:
+        with suppress(PackageNotFoundError):  # one of an extra
+            found[name] = version(name)
+    return found

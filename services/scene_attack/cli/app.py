@@ -12,6 +12,7 @@ import typer
 
 from scene_attack.cli.commands import analyse, assets, campaign, doctor, export, jobs, run, targets
 from scene_attack.errors import InvalidRequest, JobFailure
+from scene_attack.extras import MissingExtra, extra
 
 app = typer.Typer(
     name="scene-attack",
@@ -59,9 +60,13 @@ for entry in sorted(entry_points(group="scene_attack.commands")):
 def main() -> None:
     """Runs the command line. An expected error becomes a line on stderr for each wrong field, and an exit code."""
     try:
-        app(prog_name="scene-attack")
+        # The commands of the service are always listed; each imports what it runs when it is called.
+        with extra("service", " ".join(["scene-attack", *sys.argv[1:2]])):
+            app(prog_name="scene-attack")
     except KeyboardInterrupt:
         _end(130, "interrupted")
+    except MissingExtra as error:
+        _end(2, error.detail)
     except InvalidRequest as error:
         _end(2, *(f"bad input: {wrong.field}: {wrong.detail}" for wrong in error.every))
     except JobFailure as error:

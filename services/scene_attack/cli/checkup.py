@@ -6,6 +6,7 @@ scene_attack.cli.checkup`, which prints a line of JSON for each trial as soon as
 
 import json
 import os
+import re
 import shutil
 import stat
 import subprocess
@@ -16,10 +17,9 @@ from importlib.metadata import PackageNotFoundError, distribution, entry_points,
 from pathlib import Path
 from typing import Any, Literal
 
-from packaging.requirements import Requirement
-
 from scene_attack import process
 from scene_attack.errors import InvalidRequest, JobFailure, printable, summary, without_folders
+from scene_attack.extras import MissingExtra, extra
 from scene_attack.options import Options
 from scene_attack.runs.set_up import set_up
 
@@ -49,7 +49,13 @@ def checkup(options: Options) -> Iterator[Finding]:
     yield from packages(options)
     yield from cache(options)
     for entry in sorted(entry_points(group="scene_attack.checks")):
-        yield from entry.load()()
+        try:
+            with extra("service", f"the check of the {entry.name}"):
+                checks = entry.load()
+        except MissingExtra as missing_extra:
+            yield Finding(entry.name, "ok", f"not installed; {missing_extra.detail}")
+        else:
+            yield from checks()
     yield from meshes(options)
     yield from additions(options)
     yield from trial(options)
@@ -58,25 +64,41 @@ def checkup(options: Options) -> Iterator[Finding]:
 def packages(_: Options) -> Iterator[Finding]:
     """Whether the packages are there that the project needs, in versions that it runs with."""
     try:
-        requirements = [Requirement(text) for text in distribution("scene-attack").requires or []]
+        requirements = distribution("scene-attack").requires or []
     except PackageNotFoundError:
         yield Finding("packages", "warn", "scene-attack itself is not installed as a package", SETUP)
         return
     bad = []
     for need in requirements:
-        if need.marker is None or need.marker.evaluate({"extra": ""}):
+        name, bounds, marker = _parts(need)
+        if not marker:  # those of the extras have one
             try:
-                installed = version(need.name)
+                installed = version(name)
             except PackageNotFoundError:
-                bad.append(f"{need.name} is missing")
+                bad.append(f"{name} is missing")
                 continue
-            if not need.specifier.contains(installed, prereleases=True):
-                bad.append(f"{need.name} is {installed}, not {need.specifier}")
+            if not all(_meets(installed, operator, bound) for operator, bound in bounds):
+                bad.append(f"{name} is {installed}, not {','.join(map(''.join, bounds))}")
     python = ".".join(map(str, sys.version_info[:3]))
     if bad:
         yield Finding("packages", "fail", "; ".join(bad), SETUP)
     else:
         yield Finding("packages", "ok", f"Python {python}, scene-attack {version('scene-attack')} and what it needs")
+
+
+def _parts(need: str) -> tuple[str, list[tuple[str, str]], str]:
+    """Name, bounds and marker of a requirement as pyproject.toml has them: "torch>=2.13,<2.15"."""
+    plain, _, marker = need.partition(";")
+    name = re.match(r"[\w.-]+", plain)
+    assert name is not None
+    return name[0], re.findall(r"(>=|<)([\d.]+)", plain), marker
+
+
+def _meets(installed: str, operator: str, bound: str) -> bool:
+    have, limit = (
+        [int(part) for part in re.findall(r"\d+", text.partition("+")[0])[:3]] for text in (installed, bound)
+    )
+    return have >= limit if operator == ">=" else have < limit
 
 
 def cache(options: Options) -> Iterator[Finding]:

@@ -31,6 +31,7 @@ from scene_attack.client.meshes import sent
 from scene_attack.client.operations import Answer, JobFilter, Request, Submission
 from scene_attack.client.states import State
 from scene_attack.errors import InvalidRequest
+from scene_attack.extras import extra
 from scene_attack.runs.spec import NOT_SENT, RerenderingView, as_data
 
 if TYPE_CHECKING:
@@ -71,17 +72,14 @@ class Rows(list[Row], Generic[Row]):
     """The rows of a table, such as the subsets of a result: models with the same fields."""
 
     def to_frame(self) -> DataFrame:
-        """A DataFrame with a line for each row. Needs pandas: `pip install scene-attack[pandas]`."""
+        """A DataFrame with a line for each row. Raises MissingExtra without pandas, which the rows need not."""
         return pandas_module().DataFrame.from_records([row.model_dump() for row in self])
 
 
 def pandas_module() -> Any:
-    """The module pandas. Raises ImportError, which says how to install it."""
-    try:
+    """The module pandas. Raises MissingExtra without it."""
+    with extra("pandas", "a DataFrame"):
         import pandas
-    except ImportError as error:
-        message = "a DataFrame needs pandas: pip install 'scene-attack[pandas]'; the rows themselves need it not"
-        raise ImportError(message) from error
     return pandas
 
 

@@ -19,7 +19,7 @@ from safetensors.torch import load
 
 from scene_attack.errors import InvalidRequest
 from scene_attack.export.glb import scene_glb
-from scene_attack.export.parameters import as_colors, light_maps, normal_maps, parameter_table, write_exr
+from scene_attack.export.parameters import as_colors, light_maps, normal_maps, openexr, parameter_table, write_exr
 from scene_attack.export.report import Files, readme, report
 from scene_attack.export.scene_values import moves_the_scene, scene_values
 from scene_attack.rendering.protocol import Parameters
@@ -110,6 +110,8 @@ def write_bundle(files: Files, library: Library, write: Write, job: str | None =
     """Calls `write` with the path and the bytes of each file of the bundle. Raises as `read_finished` does. Draws with
     OpenGL for jobs of the torch renderer."""
     done = read_finished(files, library)
+    if done.lit_by_map:
+        openexr()  # before half of the files are written
     written: list[str] = []
 
     def put(name: str, data: bytes) -> None:

@@ -6,13 +6,14 @@ Of the torch renderer, normals are written as vectors, and light as a map: an Op
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-import OpenEXR
 import torch
 from pydantic import BaseModel, Field
 from torch import Tensor
 
+from scene_attack.extras import extra
 from scene_attack.rendering.declaration import RENDERERS
 from scene_attack.rendering.opengl.gbuffer import rasterise
 from scene_attack.rendering.protocol import Parameters
@@ -168,8 +169,16 @@ def equirectangular(radiance: Floats) -> Floats:
     return np.ascontiguousarray(np.roll(columns, columns.shape[1] // 4, axis=1)[:, ::-1])
 
 
+def openexr() -> Any:
+    """The package that writes maps. Raises MissingExtra("result") if it is not installed."""
+    with extra("export", "the export of a scene that a map lights", "result"):
+        import OpenEXR
+    return OpenEXR
+
+
 def write_exr(radiance: Floats, path: Path, comment: str) -> None:
     """Writes linear RGB radiance float32 [rows, cols, 3], in this project's directions, with 32 bits a value."""
+    OpenEXR = openexr()
     image = np.asarray(equirectangular(radiance), np.float32)
     head = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, "comments": comment}
     channels = {name: np.ascontiguousarray(image[..., k]) for k, name in enumerate("RGB")}

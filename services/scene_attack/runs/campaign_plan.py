@@ -24,6 +24,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from scene_attack import disk
 from scene_attack.analysis.campaign_table import Case, Curves, MeanCurves, Table, to_csv, to_latex
 from scene_attack.attacks.attack import Attack
+from scene_attack.extras import extra
 from scene_attack.rendering.declaration import IMAGE_OF
 from scene_attack.runs.campaign_spec import CampaignSpec, Grid, Member, Selection
 from scene_attack.runs.result import Provenance, Result, success
@@ -434,9 +435,10 @@ class CampaignResult(BaseModel):
 
 
 def write(result: CampaignResult, out: Path) -> list[Path]:
-    """Writes table.json, table.csv, table.tex and curves.png into a folder, and returns their paths."""
-    from scene_attack.analysis.campaign_figure import draw  # matplotlib takes a second to import
+    """Writes table.json, table.csv, table.tex and curves.png into a folder, and returns their paths.
 
+    Raises MissingExtra if matplotlib is not installed, when all but the curves are written.
+    """
     texts = {
         "table.json": result.model_dump_json(indent=1) + "\n",
         "table.csv": to_csv(result.table),
@@ -444,5 +446,7 @@ def write(result: CampaignResult, out: Path) -> list[Path]:
     }
     for name, text in texts.items():
         disk.write(out / name, text.encode())
+    with extra("export", "curves.png"):
+        from scene_attack.analysis.campaign_figure import draw  # matplotlib takes a second to import
     draw(result.table, result.curves, out / "curves.png")
     return [out / name for name in (*texts, "curves.png")]

@@ -329,7 +329,7 @@ def read_map(data: bytes, kind: str) -> Floats:
 
 
 def _read_exr(data: bytes) -> Floats:
-    with extra("formats", "an OpenEXR image (.exr)"):
+    with extra("formats", "an OpenEXR image (.exr)", "file"):
         import Imath
         import OpenEXR
 

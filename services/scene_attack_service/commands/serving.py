@@ -3,11 +3,12 @@
 import os
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from scene_attack_service.settings import Settings, read_settings, unknown_variables
+if TYPE_CHECKING:
+    from scene_attack_service.settings import Settings
 
 HostOption = Annotated[
     str | None,
@@ -23,10 +24,11 @@ PortOption = Annotated[
 WorkersOption = Annotated[int | None, typer.Option("--workers", "-w", help="Job processes [SCENE_ATTACK_WORKERS, 1].")]
 
 
-def serving_settings(**options: str | int | Path | None) -> Settings:
+def serving_settings(**options: str | int | Path | None) -> "Settings":
     """The settings of a service, whose device and kernels are there. Names the variables that are no settings."""
     from scene_attack.process import check_device, use
     from scene_attack.rendering.kernels import levels
+    from scene_attack_service.settings import read_settings, unknown_variables
 
     settings = read_settings(**options)
     for name, error in unknown_variables(os.environ).items():

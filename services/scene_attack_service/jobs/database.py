@@ -31,6 +31,7 @@ from sqlalchemy.orm import Session
 
 from scene_attack.disk import NotOurs, make_private
 from scene_attack.errors import InvalidRequest, without_folders
+from scene_attack.extras import extra
 from scene_attack_service.settings import Settings
 
 MIGRATIONS = Path(__file__).parent / "migrations"
@@ -71,12 +72,9 @@ def connect(settings: Settings) -> Engine:
     options: dict[str, Any] = {}
     if kind == "postgresql":
         options = {"connect_args": {"connect_timeout": CONNECT_SECONDS, "application_name": "scene-attack"}}
-    try:
+    with extra("postgresql", "PostgreSQL", "SCENE_ATTACK_DATABASE_URL"):
         # Numbers that are not finite are refused, because JSON cannot represent them.
         engine = create_engine(url, json_serializer=partial(json.dumps, allow_nan=False), pool_pre_ping=True, **options)
-    except ModuleNotFoundError as error:
-        detail = f"{error.name} is not installed; PostgreSQL needs the extra: pip install 'scene-attack[postgresql]'"
-        raise InvalidRequest("SCENE_ATTACK_DATABASE_URL", detail) from error
     wait = min(LOCK_SECONDS, settings.stall_seconds / 4)
     try:
         _make_data_folder(settings.data_dir)  # also beside PostgreSQL: the files of running jobs are there

@@ -19,6 +19,7 @@ from scene_attack import ApiError, AsyncClient, Client, Unfinished, images
 from scene_attack.client import operations
 from scene_attack.client.client import AsyncJob
 from scene_attack.errors import InvalidRequest
+from scene_attack.extras import MissingExtra
 from tests.unit.client.scripted_service import (
     CAMPAIGN,
     DONE,
@@ -291,7 +292,7 @@ def test_rows_become_a_frame(client: Client, script: Script, monkeypatch: pytest
     subsets = SUCCEEDED["result"]["subsets"]
     assert rows.to_frame()["perceptibility"].tolist() == [row["perceptibility"] for row in subsets]
     monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(ImportError, match=r"pip install 'scene-attack\[pandas\]'"):
+    with pytest.raises(MissingExtra, match=r'pip install "scene-attack\[pandas\]"'):
         rows.to_frame()
 
 

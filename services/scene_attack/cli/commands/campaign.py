@@ -14,6 +14,7 @@ from scene_attack.cli.commands.options import SHORT, JsonOption, PriorityOption,
 from scene_attack.cli.console import FittedTable, print_found, print_json, remark, report_plugins, say
 from scene_attack.client import DEFAULT_URL
 from scene_attack.errors import InvalidRequest
+from scene_attack.extras import MissingExtra
 
 if TYPE_CHECKING:
     from rich.text import Text
@@ -75,7 +76,10 @@ def run(
     except KeyboardInterrupt:
         remark("Interrupted; the same command goes on with what is left.")
         raise
-    write(record, folder)
+    try:
+        write(record, folder)
+    except MissingExtra as error:
+        remark(f"left out: {error.detail}")
     print_found(record, results(record.table), as_json)
     chosen = sum(view.chosen for view in record.views)
     remark(f"{chosen} of {len(record.views)} views attacked. Files in {folder}")

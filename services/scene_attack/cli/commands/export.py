@@ -8,6 +8,7 @@ import typer
 from scene_attack.cli.commands.options import SHORT, JsonOption, UrlOption, whole_job_id
 from scene_attack.cli.console import print_found
 from scene_attack.client import DEFAULT_URL
+from scene_attack.extras import extra
 
 app = typer.Typer()
 
@@ -58,7 +59,8 @@ def _export_folder(folder: Path, to: Path | None) -> Path:
     with JobLine(str(folder)) as line:
         line.update("loading", 0, 1, None)
         assets = library(options)
-        from scene_attack.export.bundle import into_folder, write_bundle, zipped
+        with extra("export", "scene-attack export"):
+            from scene_attack.export.bundle import into_folder, write_bundle, zipped
 
         files = {path.name: path.read_bytes for path in folder.iterdir() if path.is_file()}
         if to.suffix != ".zip":
@@ -76,7 +78,9 @@ def _export_job(job: str, to: Path | None, url: str) -> Path:
 
     from scene_attack.client import operations
     from scene_attack.client.client import Client
-    from scene_attack.export.bundle import into_folder
+
+    with extra("export", "scene-attack export"):
+        from scene_attack.export.bundle import into_folder
     from scene_attack.scenes.bundle import clean_name
 
     with Client(url) as client, TemporaryDirectory() as folder:

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 from urllib.parse import unquote
 
 from scene_attack.errors import DAMAGED, InvalidRequest, Unreadable
+from scene_attack.extras import extra
 from scene_attack.scenes.image_file import open_texture
 
 
@@ -70,7 +71,8 @@ def collada_images(data: bytes) -> list[Named]:
 
     It returns none of a file that cannot be read; whoever reads it says why.
     """
-    from lxml import etree  # most meshes are no XML
+    with extra("formats", "a COLLADA file", "file"):
+        from lxml import etree  # most meshes are no XML
 
     parser = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False, huge_tree=True)
     try:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from scene_attack.errors import DAMAGED, InvalidRequest, Unreadable, shortened
+from scene_attack.extras import extra
 from scene_attack.scenes.bundle import SIGNATURE, Up, unpack_archive
 from scene_attack.scenes.image_file import open_texture
 from scene_attack.scenes.mesh import Part, TooLarge, check_size
@@ -224,6 +225,15 @@ def read_mesh(
     return upright(parts) if up == "z" or (up is None and is_z_up(data, kind)) else parts
 
 
+def check_packages(kind: str) -> None:
+    """Raises MissingExtra("file") if the packages are not installed that read this kind."""
+    with extra("formats", f"a {kind} mesh", "file"):
+        if kind in ("dae", "3mf"):
+            import networkx  # noqa: F401
+        if kind == "dae":
+            import collada  # noqa: F401
+
+
 def _parts(
     data: bytes, kind: str, max_faces: int, beside: CompanionFiles, note: Callable[[str], None]
 ) -> tuple[Part, ...]:
@@ -231,6 +241,7 @@ def _parts(
         raise InvalidRequest("kind", f"{kind!r} meshes are not read; one of {', '.join(KINDS)} is")
     if not data.strip():
         raise InvalidRequest("file", "it is empty")
+    check_packages(kind)
     try:
         CHECKS[kind](data, max_faces)
         # Suppress numpy's warnings: numbers that are not finite are reported by name.

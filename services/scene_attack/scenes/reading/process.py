@@ -16,6 +16,7 @@ import socket
 import sys
 import time
 import traceback
+from contextlib import suppress
 from io import BytesIO
 from typing import Any
 
@@ -25,11 +26,12 @@ from PIL import Image
 
 from scene_attack.confinement import Limits, address_space, confine, drop_privileges
 from scene_attack.errors import InvalidRequest
+from scene_attack.extras import MissingExtra
 from scene_attack.scenes.bundle import Bundle, unpack_archive
 from scene_attack.scenes.environment import read_map
 from scene_attack.scenes.image_file import read_image
 from scene_attack.scenes.reading.companion_files import CompanionFiles
-from scene_attack.scenes.reading.formats import KINDS, read_mesh, report
+from scene_attack.scenes.reading.formats import KINDS, check_packages, read_mesh, report
 from scene_attack.scenes.reading.isolated import FILE_BYTES, pack
 
 LIMITS = Limits(memory_bytes=FILE_BYTES, cpu_seconds=25)
@@ -152,14 +154,16 @@ def _warm_up() -> None:
     """Reads a file of every kind once: parsers import modules when they are first needed."""
     box = trimesh.creation.box()
     for kind in KINDS:
-        data = exported(box, kind)
-        read({"mesh": kind, "max_faces": 12, "files": [], "up": None}, data)
+        with suppress(MissingExtra):
+            check_packages(kind)
+            read({"mesh": kind, "max_faces": 12, "files": [], "up": None}, exported(box, kind))
     for kind in ("PNG", "JPEG", "WEBP"):
         file = BytesIO()
         Image.fromarray(np.zeros((2, 2, 3), np.uint8)).save(file, kind)
         read({"image": (2, 2)}, file.getvalue())
     read({"map": "hdr"}, b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 1 +X 1\n" + bytes(4))
-    read({"map": "exr"}, base64.b64decode(SMALL_EXR))
+    with suppress(MissingExtra):
+        read({"map": "exr"}, base64.b64decode(SMALL_EXR))
     read({"archive": 2**20}, Bundle("obj", b"", {"a.mtl": b""}).stored())
 
 

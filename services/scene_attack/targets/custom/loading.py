@@ -17,6 +17,7 @@ import torch
 from torch import Tensor, nn
 
 from scene_attack.errors import InvalidRequest, Unreadable, out_of_memory, summary
+from scene_attack.extras import extra
 from scene_attack.targets.architectures import ARCHITECTURES, Architecture
 from scene_attack.targets.classifier import Classifier
 from scene_attack.targets.custom import exported
@@ -205,10 +206,8 @@ def _network(file: Path, card: Card, classes: int) -> tuple[nn.Module, str | Non
     if file.suffix == ".safetensors":
         assert card.architecture is not None
         return _read_weights(file, card.architecture, ARCHITECTURES[card.architecture], classes), None
-    try:
+    with extra("onnx", "a network in an .onnx file", "target.name"):
         from scene_attack.targets.custom import onnx_file
-    except ImportError as error:
-        raise Unreadable(f"it needs the packages of the extra `onnx`: {error}") from error
     return onnx_file.read(file, size), onnx_file.SCORES_ONLY
 
 
