@@ -47,6 +47,7 @@ def fetch(
         list[Path] | None,
         typer.Option("--from", help="A Debian package, or a folder with packages or with the files themselves."),
     ] = None,
+    as_json: JsonOption = False,
 ) -> None:
     """Bring 800 more models of furniture and five more environment maps into the cache: 150 MB from Debian's archive.
 
@@ -65,7 +66,8 @@ def fetch(
                 remark(text)
 
         brought = bring(cache, given or [], report)
-    remark(f"{len(brought)} files brought into {cache}" if brought else f"all files are in {cache}")
+    text = f"{len(brought)} files brought into {cache}" if brought else f"all files are in {cache}"
+    print_found({"folder": str(cache), "brought": brought}, text, as_json)
 
 
 @app.command(epilog="Example: [bold]scene-attack assets show furniture/grand-piano[/bold]")
