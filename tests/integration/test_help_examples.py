@@ -31,6 +31,7 @@ ELSEWHERE = {
     "demo": "test_demo runs it",
     "doctor": "test_command_line runs it",
     "accuracy": "minutes of measurements; tests of services/scene_attack_accuracy run their parts",
+    "assets fetch": "tests/unit/scenes/test_fetch runs it with packages of its own",
     "pg_restore": "a program of PostgreSQL; tests/unit/jobs restores a copy with it",
 }
 """Examples that are not run here, by a word of them, and why. A unit test parses them."""
