@@ -217,7 +217,7 @@ def target(
 
 
 def attack(
-    scene: Scene | Mapping[str, Any] | None,
+    scene: Scene | Renderer | Mapping[str, Any] | None,
     target: Network | str | Mapping[str, Any],
     attack: Attack | Mapping[str, Any] | None = None,
     *,
@@ -230,11 +230,14 @@ def attack(
 ) -> Result:
     """Runs one attack and returns its result.
 
-    Each argument is an object, or what a request has in its place (docs/reference/fields.md). `target` is a network of
-    this process (see `target`), the name of one that `scene-attack targets` lists, or a request's `target`. `others`
-    are further fields of a request: `tolerance`, `analysis`, and, with None for the scene, `record` or `generate`. A
-    `mesh` may be a path relative to the working directory, "./chair.obj", or `sa.Mesh`. With `out`, the files are
-    written into that folder while the attack runs; it may hold no other job's result. `options` default to those of the
+    Each argument is an object, or what a request has in its place (docs/reference/fields.md). `scene` may be what
+    `renderer` returned: its scene is attacked by it, in its groups and within its tolerance, where `attack` and
+    `tolerance` state none. An attack or a renderer of one's own is registered by the decorators of
+    `scene_attack.plugin`, in a script as in a plug-in. `target` is a network of this process (see `target`), the name
+    of one that `scene-attack targets` lists, or a request's `target`. `others` are further fields of a request:
+    `tolerance`, `analysis`, and, with None for the scene, `record` or `generate`. A `mesh` may be a path relative to
+    the working directory, "./chair.obj", or `sa.Mesh`. With `out`, the files are written into that folder while the
+    attack runs; it may hold no other job's result. `options` default to those of the
     SCENE_ATTACK_ variables. Raises InvalidRequest, which names the field or the argument, for anything that cannot run,
     and JobFailure for a run that fails.
 
@@ -242,14 +245,18 @@ def attack(
     """
     from scene_attack.cli.result_folder import check_free, prepare_folder
     from scene_attack.cli.specs import local_library
-    from scene_attack.owner import run
+    from scene_attack.owner import Owned, run
     from scene_attack.runs.execute import execute
     from scene_attack.runs.spec import as_data
     from scene_attack.scenes.exported_assets import write_assets
 
     chosen = _set_up(options)
-    given = {"scene": scene, "attack": attack, "goal": goal}
-    fields = {"seed": seed} | others | {name: as_data(name, one) for name, one in given.items() if one is not None}
+    drawn = scene.request if isinstance(scene, Owned) else {}
+    given = {"scene": None if drawn else scene, "attack": attack, "goal": goal}
+    stated = {name: as_data(name, one) for name, one in given.items() if one is not None}
+    fields = {"seed": seed} | drawn | others | stated
+    if drawn and stated.get("attack", {}).get("renderer", drawn["attack"]["renderer"]) == drawn["attack"]["renderer"]:
+        fields["attack"] = drawn["attack"] | stated.get("attack", {})
     made = network = None
     if isinstance(target, str):
         fields["target"] = {"name": target}
@@ -286,6 +293,7 @@ def renderer(
 ) -> Renderer:
     """The renderer of a scene, for a loop of one's own: `renderer.render({group: values [B, …]})` gives images
     [B, H, W, 3] in [0,1], with gradients where the renderer has them; `renderer.initial()` are the scene's own values.
+    `attack` takes it in the scene's place.
 
     `groups` are those that will change (None: the renderer's default ones), within `tolerance` of a displayed value.
     Raises InvalidRequest, which names the field.
@@ -305,7 +313,8 @@ def renderer(
         found = resolve(_spec(fields, chosen).scene, local_library(chosen))
         return build(found, name, groups=groups, tolerance=within)
 
-    owned: Any = Owned(run(work))
+    attacked = {"renderer": name} if groups is None else {"renderer": name, "groups": list(groups)}
+    owned: Any = Owned(run(work), fields | {"attack": attacked, "tolerance": within})
     return owned  # type: ignore[no-any-return]
 
 

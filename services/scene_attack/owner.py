@@ -5,7 +5,7 @@ What several threads ask for is done one after the other, so that it has the res
 
 import os
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeVar
 
@@ -56,8 +56,10 @@ def run(work: Callable[[Callable[[], bool]], Answer]) -> Answer:
 class Owned:
     """A renderer that renders in the owner thread; the rest is the renderer's own."""
 
-    def __init__(self, renderer: Any) -> None:
+    def __init__(self, renderer: Any, request: Mapping[str, Any]) -> None:
         self._renderer = renderer
+        self.request = request
+        """What a request has of it: its scene, its tolerance, and the attack's renderer and groups."""
 
     def render(self, parameters: dict[str, torch.Tensor]) -> torch.Tensor:
         """As the renderer does."""
@@ -66,7 +68,7 @@ class Owned:
 
     def exact(self) -> "Owned":
         """The renderer without approximations."""
-        return Owned(run(lambda _: self._renderer.exact()))
+        return Owned(run(lambda _: self._renderer.exact()), {**self.request, "tolerance": "exact"})
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._renderer, name)

@@ -3,7 +3,7 @@ result gives.
 """
 
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 import pytest
@@ -11,8 +11,11 @@ import torch
 import trimesh
 
 import scene_attack as sa
+from scene_attack import plugin
+from scene_attack.attacks.attack import ATTACKS
 from scene_attack.errors import InvalidRequest
 from scene_attack.options import Options
+from scene_attack.rendering.declaration import RENDERERS
 
 SCENE: dict[str, Any] = {"objects": [{"mesh": "primitive/sphere"}], "camera": {"size": [32, 32]}}
 SPEC: dict[str, Any] = {"attack": {"renderer": "image", "steps": 1}}
@@ -190,6 +193,72 @@ def test_a_renderer_is_for_a_loop_of_ones_own() -> None:
     renderer.render({"illumination": light}).sum().backward()  # type: ignore[no-untyped-call]
     assert light.grad is not None
     assert bool(light.grad.abs().sum() > 0)
+
+
+def test_a_renderer_is_attacked_in_its_scenes_place() -> None:
+    target = sa.target(network(), **SMALL)
+    renderer = sa.renderer(sa.Scene(**SCENE), "torch", groups=["illumination"], tolerance=0.01)
+    found = sa.attack(renderer, target, sa.FGSM(steps=2))
+    attack = {"renderer": "torch", "groups": ["illumination"], "steps": 2}
+    wanted = sa.attack(SCENE, target, attack, tolerance=0.01)
+    assert found.record.spec == wanted.record.spec
+    assert found.files["attacked.png"] == wanted.files["attacked.png"]
+    other = sa.attack(renderer.exact(), target, sa.FGSM(renderer="image", steps=1))
+    assert other.record.spec["tolerance"] == "exact"
+    asked: Any = other.record.spec["attack"]
+    assert (asked["renderer"], asked["groups"]) == ("image", ["image"])
+
+
+def test_an_attack_and_a_renderer_of_a_script_work_in_its_process() -> None:
+    class Lighter(sa.Attack):
+        """All values rise."""
+
+        method: Literal["lighter"] = "lighter"
+        needs_gradient: ClassVar[bool] = False
+
+        def init(self, problem: Any) -> Any:
+            return {"delta": problem.start}
+
+        def step(self, problem: Any, state: Any, _: Any) -> Any:
+            return {"delta": problem.limits.clamp(state["delta"] + 0.25)}
+
+    class Grey(plugin.DeclaredRenderer):
+        """An image of one grey."""
+
+        def __init__(self, size: tuple[int, int]) -> None:
+            self.size, self.backend = size, "grey"
+            self.plan = plugin.Plan.of(self.name, self.groups, size, "exact", [])
+
+        @classmethod
+        def build(cls, request: plugin.BuildRequest) -> Any:
+            return cls(request.scene.description.camera.size)
+
+        def initial(self) -> Any:
+            return {"grey": torch.zeros(1)}
+
+        def bounds(self) -> Any:
+            return {"grey": (torch.tensor(0.0), torch.tensor(1.0))}
+
+        def render(self, parameters: Any) -> torch.Tensor:
+            shown: torch.Tensor = parameters["grey"][:, None, None, :].expand(-1, *self.size, 3)
+            return shown
+
+        def exact(self) -> Any:
+            return self
+
+    grey = plugin.Group(name="grey", shape=("1",), unit="displayed value", words="grey", suggested_step=0.1)
+    attacks, renderers = ATTACKS.snapshot(), RENDERERS.snapshot()
+    try:
+        plugin.register_attack(Lighter)
+        declared = plugin.Declaration(name="grey", groups=(grey,), differentiable=True, method="lighter")
+        plugin.register_renderer(declared)(Grey)
+        target = sa.target(lambda images: images.mean((2, 3))[:, :2] * torch.tensor([0, 1]) + torch.tensor([0.2, 0]))
+        result = sa.attack(sa.renderer(SCENE, "grey"), target, Lighter(steps=5, truncation=None))
+    finally:
+        ATTACKS.restore(attacks)
+        RENDERERS.restore(renderers)
+    assert result.record.spec["attack"]["method"] == "lighter"
+    assert float(result.perturbation["grey"]) == pytest.approx(0.25)
 
 
 def test_options_of_another_process_are_refused() -> None:
