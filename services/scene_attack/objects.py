@@ -11,10 +11,10 @@ from functools import cached_property
 from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from scene_attack import disk
-from scene_attack.errors import InvalidFields, InvalidRequest
+from scene_attack.errors import InvalidFields, InvalidRequest, Unreadable
 
 if TYPE_CHECKING:
     import numpy as np
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from scene_attack.targets.info import TargetInfo
     from scene_attack.targets.protocol import Target
 
-    Network = nn.Module | Target | Callable[[Tensor], Any]
+    Network = nn.Module | Target | Callable[[Any], Any] | Path
 
 MODULE = "module"
 """The name of a network that is given none."""
@@ -147,7 +147,7 @@ class Result:
 
         chosen = _set_up(options)
         asked: Any = self.record.spec["target"]
-        made = None if target is None else _target(target, asked["name"])
+        made = None if target is None else _named(target, asked["name"])[1]
 
         def work(_: Callable[[], bool]) -> Replay:
             with _known(made), TemporaryDirectory() as folder:
@@ -196,24 +196,28 @@ def load(folder: Path | str) -> Result:
 
 
 def target(
-    network: Network,
+    network: Network | str,
     *,
     labels: Sequence[str] | str | None = None,
     preprocessing: Preprocessing | Mapping[str, Any] | None = None,
+    output: Literal["scores", "probabilities"] = "scores",
     name: str = MODULE,
     options: Options | None = None,
 ) -> Target:
-    """A network of this process as a target: a torch module, or a function of images.
+    """A network as a target: a torch module, a function of images, a MAITE image classifier, a folder with a card, the
+    URL of an endpoint, or the name of a target that `scene-attack targets` lists.
 
     A module takes images [B, 3, H, W] and returns scores [B, K] before the softmax; it is copied and not changed. A
     function does the same with float32 CPU tensors, and may return any array; only methods without gradients attack it.
     `labels` names the scores: a list, "imagenet" for ImageNet's 1,000 in their usual order, with which library meshes
-    have their truth, or None for "0" to "K-1". `preprocessing` says how an image becomes the input. A target is
-    returned as it is. `options` default to those of the SCENE_ATTACK_ variables. Raises InvalidRequest, which names the
-    argument.
+    have their truth, or None for "0" to "K-1" or the MAITE model's own `metadata.index2label`; a URL needs them.
+    `preprocessing` says how an image becomes the input. `output` says what is returned; of probabilities the logarithm
+    is taken. A folder is a path, such as "./mine"; docs/targets.md says what is in it, and what an endpoint answers. A
+    target is returned as it is. `options` default to those of the SCENE_ATTACK_ variables. Raises InvalidRequest, which
+    names the argument.
     """
-    _set_up(options)
-    return _target(network, name, labels, preprocessing)
+    chosen = _set_up(options)
+    return _target(network, name, labels, preprocessing, output, chosen)
 
 
 def attack(
@@ -251,21 +255,19 @@ def attack(
     from scene_attack.scenes.exported_assets import write_assets
 
     chosen = _set_up(options)
-    drawn = scene.request if isinstance(scene, Owned) else {}
+    drawn: Mapping[str, Any] = scene.request if isinstance(scene, Owned) else {}
     given = {"scene": None if drawn else scene, "attack": attack, "goal": goal}
     stated = {name: as_data(name, one) for name, one in given.items() if one is not None}
     fields = {"seed": seed} | drawn | others | stated
     if drawn and stated.get("attack", {}).get("renderer", drawn["attack"]["renderer"]) == drawn["attack"]["renderer"]:
         fields["attack"] = drawn["attack"] | stated.get("attack", {})
-    made = network = None
-    if isinstance(target, str):
-        fields["target"] = {"name": target}
-    elif isinstance(target, Mapping):
+    made = None
+    if isinstance(target, Mapping):
         fields["target"] = dict(target)
     else:
-        made = _target(target)
-        fields["target"] = {"name": made.name}
-        network = _hashes(made)
+        name, made = _named(target)
+        fields["target"] = {"name": name}
+    network = None if made is None else _hashes(made)
 
     def work(interrupted: Callable[[], bool]) -> Result:
         with _known(made), TemporaryDirectory() as scratch:
@@ -330,9 +332,8 @@ def truth(scene: Scene | Mapping[str, Any], target: Network | str) -> tuple[str,
     from scene_attack.targets import registry
 
     _set_up(None)
-    made = None if isinstance(target, str) else _target(target)
+    name, made = _named(target)
     meshes = [thing["mesh"] for thing in as_data("scene", scene)["objects"]]
-    name = target if isinstance(target, str) else MODULE
     labels = registry.labels(name) if made is None else tuple(made.labels)
     info = registry.card(name) if made is None else _info(made)
     return tuple(labels[index] for index in table_truth(meshes, info, labels))
@@ -410,7 +411,7 @@ def campaign(
     from scene_attack.runs.spec import as_data
 
     chosen = _set_up(options)
-    made = [_target(network) for network in targets]
+    made = [_named(network)[1] for network in targets]
     data = as_data("campaign", campaign)
 
     def work(interrupted: Callable[[], bool]) -> CampaignRun:
@@ -450,30 +451,110 @@ def _spec(fields: dict[str, Any], options: Options) -> JobSpec:
     return parsed(parse, fields, Path.cwd(), options)
 
 
-def _target(network: Any, name: str = MODULE, labels: Any = None, preprocessing: Any = None) -> Target:
+def _target(
+    network: Any,
+    name: str = MODULE,
+    labels: Any = None,
+    preprocessing: Any = None,
+    output: str = "scores",
+    options: Options | None = None,
+) -> Target:
     from torch import nn
 
-    from scene_attack.targets.custom.loading import scores_of, target_of
+    from scene_attack.runs.environment import read_options
+    from scene_attack.targets.custom.loading import is_maite, scores_of, target_of
 
-    if not isinstance(network, nn.Module) and hasattr(network, "logits"):
+    if output not in ("scores", "probabilities"):
+        raise InvalidRequest("output", f'must be "scores" or "probabilities", not {output!r:.80}')
+    if isinstance(network, str) and "://" in network:
+        allowed = read_options() if options is None else options
+        return _endpoint(network, name, labels, _preprocessing(preprocessing), output, allowed)
+    of_its_own = isinstance(network, str | Path) or (not isinstance(network, nn.Module) and hasattr(network, "logits"))
+    if of_its_own:
+        given = {"labels": labels, "preprocessing": preprocessing, "output": None if output == "scores" else output}
+        for field, value in given.items():
+            if value is not None:
+                raise InvalidRequest(field, "the target says so itself; leave this out")
+        if isinstance(network, str | Path):
+            return _stored(network, name, read_options() if options is None else options)
         missing = [part for part in _PARTS if not hasattr(network, part)]
         if missing:
             raise InvalidRequest("target", f"it has `logits` and so is a target, but no {' and no '.join(missing)}")
-        if labels is not None or preprocessing:
-            field = "preprocessing" if labels is None else "labels"
-            raise InvalidRequest(field, "a target has labels and preprocessing of its own; leave both out")
         made: Target = network
         return made
     if not callable(network):
         raise InvalidRequest(
             "target",
-            f"must be a torch.nn.Module, a function of images [B, 3, H, W], or a target, not {type(network).__name__}",
+            "must be a torch.nn.Module, a function of images [B, 3, H, W], a MAITE model, a folder, a URL, a name, or "
+            f"a target, not {type(network).__name__}",
         )
     if isinstance(network, nn.Module) and any(value.is_meta for value in network.state_dict().values()):
         raise InvalidRequest("target", "its weights are on the device meta, which has no values; load them first")
-    chosen = _preprocessing({} if preprocessing is None else preprocessing)
-    named = _labels(labels) or _numbers(network, chosen)
-    return (target_of if isinstance(network, nn.Module) else scores_of)(name, network, named, chosen)
+    chosen = _preprocessing(preprocessing)
+    probabilities = output == "probabilities"
+    if is_maite(network):
+        own = network.metadata.get("index2label") or {}
+        named = _labels(labels) or tuple(own.get(index, "") for index in range(len(own)))
+        if not named or not all(named):
+            raise InvalidRequest("labels", "the model has no metadata.index2label from 0 on; give its labels here")
+    else:
+        named = _labels(labels) or _numbers(network, chosen)
+    make = target_of if isinstance(network, nn.Module) or is_maite(network) else scores_of
+    try:
+        return make(name, network, named, chosen, probabilities=probabilities)
+    except Unreadable as error:
+        raise InvalidRequest("labels", str(error)) from error
+
+
+def _stored(place: str | Path, name: str, options: Options) -> Target:
+    """The target in a folder, or a listed one of this name."""
+    import torch
+
+    from scene_attack.plugins import NAME
+    from scene_attack.runs.set_up import read_folder
+    from scene_attack.targets import registry
+    from scene_attack.targets.custom.card import AllowList
+
+    if isinstance(place, str) and NAME.fullmatch(place):
+        if name != MODULE:
+            raise InvalidRequest("name", "a listed target has its name; leave this out")
+        return registry.load(place)
+    folder = Path(place).absolute()
+    if not folder.is_dir():
+        raise InvalidRequest("target", f"there is no folder {str(place)!r}; give one with a card.json, a URL or a name")
+    if name == MODULE:
+        name = folder.name
+    try:
+        found = read_folder(folder, AllowList.of(options), name)
+    except InvalidRequest as error:
+        raise InvalidRequest("target", f"the folder {str(place)!r} is no target: {error}") from error
+    return found.load(torch.float32)
+
+
+def _endpoint(url: str, name: str, labels: Any, preprocessing: Preprocessing, output: Any, options: Options) -> Target:
+    from scene_attack.targets.custom.card import AllowList, Card
+    from scene_attack.targets.custom.loading import endpoint_of
+
+    named = _labels(labels)
+    if not named:
+        raise InvalidRequest("labels", "a URL does not say its labels; give them in the order of its scores")
+    card = Card(labels=named, preprocessing=preprocessing, output=output, endpoint=url)
+    try:
+        return endpoint_of(url, name, card, named, AllowList.of(options))
+    except InvalidRequest as error:
+        raise InvalidRequest("target", error.detail) from error
+
+
+def _named(network: Any, name: str = MODULE) -> tuple[str, Target | None]:
+    """A network's name, and its target unless this name is known already."""
+    from scene_attack.targets.info import TARGETS
+    from scene_attack.targets.registry import load
+
+    if isinstance(network, str) and not set(network) & {"/", "\\"}:
+        return network, None
+    made = _target(network, name)
+    listed = made.name in TARGETS and load(made.name) is made
+    return made.name, None if listed else made
 
 
 def _info(made: Target) -> TargetInfo:
@@ -526,6 +607,8 @@ def _preprocessing(given: Any) -> Preprocessing:
     from scene_attack.runs.field_errors import invalid_fields
     from scene_attack.targets.custom.card import Preprocessing
 
+    if given is None:
+        return Preprocessing()
     if isinstance(given, Preprocessing):
         return given
     if not isinstance(given, Mapping):

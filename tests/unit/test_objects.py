@@ -2,6 +2,12 @@
 result gives.
 """
 
+import base64
+import json
+import threading
+from collections.abc import Iterator
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from io import BytesIO
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -9,6 +15,7 @@ import numpy as np
 import pytest
 import torch
 import trimesh
+from PIL import Image
 
 import scene_attack as sa
 from scene_attack import plugin
@@ -16,6 +23,8 @@ from scene_attack.attacks.attack import ATTACKS
 from scene_attack.errors import InvalidRequest
 from scene_attack.options import Options
 from scene_attack.rendering.declaration import RENDERERS
+from tests.unit.targets.custom.small_network import CARD, LABELS, MaiteModel, folder, save_pt2
+from tests.unit.targets.custom.small_network import network as small_network
 
 SCENE: dict[str, Any] = {"objects": [{"mesh": "primitive/sphere"}], "camera": {"size": [32, 32]}}
 SPEC: dict[str, Any] = {"attack": {"renderer": "image", "steps": 1}}
@@ -294,3 +303,83 @@ def test_a_folder_with_another_result_is_refused_and_the_same_request_is_taken(t
     with pytest.raises(InvalidRequest, match="is a file; name a folder"):
         attack(network(), out=tmp_path / "out" / "result.json", **SMALL)
     assert (tmp_path / "out" / "result.json").read_bytes() == before
+
+
+@pytest.fixture
+def answering() -> Iterator[str]:
+    """The URL of a server that answers with the means of red, green and blue."""
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_POST(self) -> None:
+            images = json.loads(self.rfile.read(int(self.headers["Content-Length"])))["images"]
+            means = [np.asarray(Image.open(BytesIO(base64.b64decode(one)))).mean((0, 1)).tolist() for one in images]
+            body = json.dumps({"scores": means}).encode()
+            self.send_response(200)
+            self.send_header("Content-Length", str(len(body)))
+            self.end_headers()
+            self.wfile.write(body)
+
+        def log_message(self, *_: object) -> None:
+            pass
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), Handler) as server:
+        thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
+        thread.start()
+        yield f"http://127.0.0.1:{server.server_address[1]}/classify"
+        server.shutdown()
+        thread.join()
+
+
+def test_a_url_is_a_target_by_its_scores(answering: str) -> None:
+    result = attack(answering, SEARCH, labels=["red", "green", "blue"], **SMALL)
+    assert result.record.spec["target"]["name"] == "module"
+    means = result.original.image.mean((0, 1))
+    assert result.original.label == ["red", "green", "blue"][int(means.argmax())]
+
+
+def test_a_folder_is_the_network_that_is_in_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    save_pt2(folder(tmp_path, "mine") / "model.pt2")
+    monkeypatch.chdir(tmp_path)
+    about = {"labels": LABELS, "preprocessing": CARD["preprocessing"]}
+    wanted = attack(small_network(), SEARCH, **about)
+    for given in ("./mine", Path("mine"), tmp_path / "mine"):
+        found = sa.attack(SCENE, given, **SEARCH)
+        assert found.record.spec["target"]["name"] == "mine"
+        assert dict(found.original.answer.top) == pytest.approx(dict(wanted.original.answer.top), abs=1e-6)
+        assert found.replay(sa.target(given)).reproduced
+
+
+def test_a_maite_model_is_a_target_with_its_own_labels() -> None:
+    about = {"preprocessing": CARD["preprocessing"]}
+    found = attack(MaiteModel(), output="probabilities", **about)
+    wanted = attack(small_network(), labels=LABELS, **about)
+    assert dict(found.attacked.answer.top) == pytest.approx(dict(wanted.attacked.answer.top), abs=1e-6)
+
+
+def test_a_listed_target_is_got_by_its_name() -> None:
+    made = sa.target("efficientnet-lite0")
+    assert len(made.labels) == 1000
+    assert sa.attack(SCENE, made, **SPEC).record.spec["target"]["name"] == "efficientnet-lite0"
+
+
+@pytest.mark.parametrize(
+    ("given", "about", "field", "said"),
+    [
+        ("./nowhere", {}, "target", "there is no folder './nowhere'"),
+        (Path(), {}, "target", r"is no target: card.json: there is no such file"),
+        ("nobody", {}, "target.name", "there is no target 'nobody'"),
+        ("efficientnet-lite0", {"labels": ["a"]}, "labels", "leave this out"),
+        ("efficientnet-lite0", {"name": "mine"}, "name", "leave this out"),
+        ("http://127.0.0.1:1/", {}, "labels", "a URL does not say its labels"),
+        ("http://example.org/", {"labels": ["a"]}, "target", "neither https nor on this machine"),
+        (MaiteModel(), {"labels": ["a"]}, "labels", "metadata.index2label has 5 labels"),
+        (MaiteModel(), {"output": "logits"}, "output", "not 'logits'"),
+    ],
+)
+def test_what_cannot_be_a_target_is_refused(
+    given: Any, about: dict[str, Any], field: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InvalidRequest, match=said) as refused:
+        sa.target(given, **about)
+    assert refused.value.field == field

@@ -128,16 +128,23 @@ def register_folder(folder: Path, allowed: AllowList) -> TargetFolder:
             raise InvalidRequest("name", "use a-z, 0-9, - and _ in a folder's name")
         if folder.name in TARGETS:
             raise InvalidRequest("name", "there is a target of this name already; rename the folder")
-        card, digest = read_card(folder)
-        file = _model_file(folder, card, allowed)
-        labels = _labels(folder, card)
+        found = read_folder(folder, allowed, folder.name)
     except InvalidRequest as error:
         reason = f"{error.field}: {error.detail}"
         UNAVAILABLE[folder.name] = reason
         return TargetFolder(name, error=reason)
+    TARGETS.add(folder.name, found)
+    return TargetFolder(name, found.info.card_sha256)
+
+
+def read_folder(folder: Path, allowed: AllowList, name: str) -> RegisteredTarget:
+    """Returns the target in a folder, under this name. Raises InvalidRequest("card.json: labels") and the like."""
+    card, digest = read_card(folder)
+    file = _model_file(folder, card, allowed)
+    labels = _labels(folder, card)
     info = TargetInfo(
-        name=folder.name,
-        title=card.title or folder.name,
+        name=name,
+        title=card.title or name,
         task="classification",
         input_size=card.preprocessing.input_size,
         classes=len(labels),
@@ -157,8 +164,7 @@ def register_folder(folder: Path, allowed: AllowList) -> TargetFolder:
     card_files = [folder / CARD]
     if isinstance(card.labels, str) and card.labels.endswith(".txt"):
         card_files.append(folder / card.labels)
-    TARGETS.add(info.name, RegisteredTarget(info, lambda: labels, load, card_files=tuple(card_files), model_file=file))
-    return TargetFolder(name, digest)
+    return RegisteredTarget(info, lambda: labels, load, card_files=tuple(card_files), model_file=file)
 
 
 def read_card(folder: Path) -> tuple[Card, str]:

@@ -9,6 +9,7 @@ takes a sequence of images [C, H, W], returns scores or probabilities [K] for ea
 import hashlib
 from collections.abc import Callable, Sequence
 from copy import deepcopy
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -231,9 +232,16 @@ def _read_weights(path: Path, name: str, known: Architecture, classes: int) -> n
     return network
 
 
-def target_of(name: str, network: nn.Module, labels: tuple[str, ...], preprocessing: Preprocessing) -> Classifier:
-    """Returns a copy of the module as a target; the copy is in evaluation mode and frozen."""
-    return classifier(name, deepcopy(network), labels, preprocessing, digest(network))
+def target_of(
+    name: str, network: Any, labels: tuple[str, ...], preprocessing: Preprocessing, *, probabilities: bool = False
+) -> Classifier:
+    """Returns a copy of the module as a target; the copy is in evaluation mode and frozen. A MAITE model that is no
+    module is not copied. Raises Unreadable if its labels are not these.
+    """
+    copied = deepcopy(network) if isinstance(network, nn.Module) else network
+    module, scores_only = _module(copied, labels, preprocessing.input_size)
+    of = (name, module, labels, preprocessing, digest(network))
+    return classifier(*of, probabilities=probabilities, scores_only=scores_only)
 
 
 class ScoresOnly(nn.Module):
@@ -250,13 +258,27 @@ class ScoresOnly(nn.Module):
 
 
 def scores_of(
-    name: str, function: Callable[[Tensor], Any], labels: tuple[str, ...], preprocessing: Preprocessing
+    name: str,
+    function: Callable[[Tensor], Any],
+    labels: tuple[str, ...],
+    preprocessing: Preprocessing,
+    *,
+    probabilities: bool = False,
 ) -> Classifier:
     """Returns a function as a target without gradients. Its hash is of its name, as its computation is unknown."""
     where = f"{getattr(function, '__module__', '')}.{getattr(function, '__qualname__', type(function).__qualname__)}"
     digest_of_name = hashlib.sha256(where.encode()).hexdigest()
     why = "it is a function, of which scores alone are taken; pass a torch.nn.Module for gradients"
-    return classifier(name, ScoresOnly(function), labels, preprocessing, digest_of_name, scores_only=why)
+    of = (name, ScoresOnly(function), labels, preprocessing, digest_of_name)
+    return classifier(*of, probabilities=probabilities, scores_only=why)
+
+
+def endpoint_of(url: str, name: str, card: Card, labels: tuple[str, ...], allowed: AllowList) -> Target:
+    """Returns the network behind a URL that the caller names, which needs no other permission, as a target."""
+    digest_of_card = hashlib.sha256(card.model_dump_json().encode()).hexdigest()
+    return load(
+        name, None, card, labels, digest_of_card, replace(allowed, endpoints=allowed.endpoints | {url}), torch.float32
+    )
 
 
 def describe(name: str, target: Target, vocabulary: Vocabulary = "custom") -> TargetInfo:
