@@ -19,41 +19,49 @@ class Options(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    cache: Path = Field(Path("~/.cache/scene-attack"), description="downloaded and derived files; safe to delete")
-    data: Path = Field(Path("~/.local/share/scene-attack"), description="database, artifacts, uploaded assets")
+    cache: Path = Field(
+        default=Path("~/.cache/scene-attack"), description="downloaded and derived files; safe to delete"
+    )
+    data: Path = Field(default=Path("~/.local/share/scene-attack"), description="database, artifacts, uploaded assets")
     artifact_url: str | None = Field(
-        None, description="URL of a store for artifacts and uploads, s3://bucket/folder; default: the data directory"
+        default=None,
+        description="URL of a store for artifacts and uploads, s3://bucket/folder; default: the data directory",
     )
     device: str = Field(
-        "auto",
+        default="auto",
         pattern=r"^(auto|cpu|cuda(:[0-9]{1,2})?)$",
         description="where networks and the torch renderer compute: auto (CUDA if there is one), cpu, cuda, cuda:N",
     )
-    threads: int = Field(2, ge=1, le=256, description="torch threads of a job process; part of the backend string")
+    threads: int = Field(
+        default=2, ge=1, le=256, description="torch threads of a job process; part of the backend string"
+    )
     without_plugins: tuple[str, ...] | str = Field(
-        (),
+        default=(),
         description="names of installed plug-ins to leave out, separated by commas; `scene-attack doctor` lists them",
     )
     targets: Path | None = Field(
-        None, description="folder with networks of your own, one folder each with a `card.json`; docs/targets.md"
+        default=None,
+        description="folder with networks of your own, one folder each with a `card.json`; docs/targets.md",
     )
     target_factories: str | None = Field(
-        None,
+        default=None,
         description="`module:callable` of each function that a card may name as its `factory`, separated by commas",
     )
     target_endpoints: str | None = Field(
-        None,
+        default=None,
         description="each URL that a card may name as its `endpoint`, and each private IP address that such a URL's "
         "host may have, separated by commas",
     )
-    gl: Literal["auto", "egl", "osmesa"] = Field("auto", description="OpenGL platform; auto tries EGL, then OSMesa")
+    gl: Literal["auto", "egl", "osmesa"] = Field(
+        default="auto", description="OpenGL platform; auto tries EGL, then OSMesa"
+    )
     kernels: Literal["auto", "v4", "v3", "torch"] = Field(
-        "auto",
+        default="auto",
         description="what runs inner loops on a CPU: compiled kernels for x86-64-v4 (AVX-512) or x86-64-v3 (AVX2), or "
         "torch; auto takes the first of them that is there and that the processor can run",
     )
-    max_upload_bytes: int = Field(32 * 2**20, ge=1, description="largest mesh upload")
-    max_faces: int = Field(300_000, ge=1, description="largest mesh, in triangles")
+    max_upload_bytes: int = Field(default=32 * 2**20, ge=1, description="largest mesh upload")
+    max_faces: int = Field(default=300_000, ge=1, description="largest mesh, in triangles")
 
     @field_validator("without_plugins")
     @classmethod

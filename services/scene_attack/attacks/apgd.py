@@ -37,11 +37,11 @@ class APGD(Attack):
     method: Literal["apgd"] = "apgd"
     needs_gradient: ClassVar[bool] = True
     steps: Annotated[int, Field(ge=1, le=10_000)] = Field(
-        100, description="largest number of steps, over which the checkpoints are spread"
+        default=100, description="largest number of steps, over which the checkpoints are spread"
     )
-    loss: Loss = Field("log-odds", description=LOSS_DESCRIPTION)
+    loss: Loss = Field(default="log-odds", description=LOSS_DESCRIPTION)
     masking_queries: Annotated[int, Field(ge=0, le=100_000)] = Field(
-        0,
+        default=0,
         description="after an attack that held, `square` tries with at most this number of queries, and the result's "
         "settings say under `masking` whether it succeeded: then the gradient is masked; 0: no such check",
     )

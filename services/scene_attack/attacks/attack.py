@@ -64,17 +64,17 @@ class Attack(Model):
     """Fields of the method that need a value for each attacked group, where they have values by group."""
 
     truncation: Annotated[int, Field(ge=1, le=255)] | None = Field(
-        None,
+        default=None,
         description="U: largest change of an RGB value from the original inside the loop, in 1/255; null: no limit",
     )
     constraint: Literal["truncate", "backtrack", "epsilon"] = Field(
-        "truncate",
+        default="truncate",
         description="`truncate`: values of the image beyond U are clamped, as in the paper; `backtrack`: after each "
         "step all parameters are pulled back towards the scene's own until no value is beyond U and p is within "
         "`perceptibility`, so that image and scene agree; `epsilon`: there is no U, `epsilon` alone limits",
     )
     perceptibility: Annotated[float, Field(gt=0, le=sqrt(3), allow_inf_nan=False)] | None = Field(
-        None, description="with `backtrack`: the largest p of the image; null: no limit, U alone limits"
+        default=None, description="with `backtrack`: the largest p of the image; null: no limit, U alone limits"
     )
     epsilon: dict[str, Limit] = Field(
         default_factory=dict,
@@ -87,32 +87,33 @@ class Attack(Model):
         "values must be within",
     )
     restarts: Annotated[int, Field(ge=0, le=100)] = Field(
-        0,
+        default=0,
         description="further starts after an attempt of `steps` steps without success, each at a random point within "
         "`epsilon`",
     )
     renderer: str = Field(
-        "torch", description="the renderer whose parameters are attacked", json_schema_extra=renderer_names
+        default="torch", description="the renderer whose parameters are attacked", json_schema_extra=renderer_names
     )
     groups: tuple[str, ...] = Field(
-        (),
+        default=(),
         max_length=8,
         description="the parameter groups to attack; empty means the renderer's default groups",
     )
     base_renderer: str | None = Field(
-        None,
+        default=None,
         description="for a renderer that changes another renderer's image, as `image` does: the renderer of that "
         "image; default torch",
         json_schema_extra=_base_renderer_names,
     )
     queries: Annotated[int, Field(ge=1, le=10_000_000)] | None = Field(
-        None, description="limit of network queries, after which the attack stops"
+        default=None, description="limit of network queries, after which the attack stops"
     )
     seconds: Annotated[float, Field(gt=0, le=86_400, allow_inf_nan=False)] | None = Field(
-        None, description="limit of run time in seconds; a job that reaches it may end differently on another machine"
+        default=None,
+        description="limit of run time in seconds; a job that reaches it may end differently on another machine",
     )
     expectation: Expectation | None = Field(
-        None,
+        default=None,
         description="views, light and camera noise over which the adversary is to hold, so that the attack lowers the "
         "mean objective; null: the scene itself alone",
     )
@@ -123,7 +124,7 @@ class Attack(Model):
         "hardly change the answer's advantage, all together by at most 1 %, are left out of the search; default: none",
     )
     method: str
-    steps: Annotated[int, Field(ge=1, le=100_000)] = Field(500, description="largest number of steps")
+    steps: Annotated[int, Field(ge=1, le=100_000)] = Field(default=500, description="largest number of steps")
 
     def init(self, problem: "AttackProblem") -> State:
         """Returns the state with which a start begins: tensors by name, among them `delta` [total], the perturbation to

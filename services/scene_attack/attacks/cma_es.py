@@ -32,9 +32,9 @@ class CMAES(SearchWithinLimits):
     method: Literal["cma-es"] = "cma-es"
     needs_gradient: ClassVar[bool] = False
     per_group: ClassVar[tuple[str, ...]] = ("spread",)
-    steps: Annotated[int, Field(ge=1, le=10_000)] = Field(100, description="largest number of generations")
+    steps: Annotated[int, Field(ge=1, le=10_000)] = Field(default=100, description="largest number of generations")
     population: Annotated[int, Field(ge=4, le=4096)] | None = Field(
-        None, description="members of a generation; null: 4 + 3·ln(number of coordinates), rounded down"
+        default=None, description="members of a generation; null: 4 + 3·ln(number of coordinates), rounded down"
     )
     spread: dict[str, Limit] = Field(
         default_factory=dict,

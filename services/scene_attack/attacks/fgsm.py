@@ -21,18 +21,18 @@ class FGSM(SuggestedRates):
 
     method: Literal["fgsm"] = "fgsm"
     needs_gradient: ClassVar[bool] = True
-    steps: Annotated[int, Field(ge=1, le=10_000)] = Field(120, description="largest number of steps")
+    steps: Annotated[int, Field(ge=1, le=10_000)] = Field(default=120, description="largest number of steps")
     learning_rate: dict[str, Rate] = Field(
         default_factory=dict,
         description="step size of each group, in the group's units; default: the step that the renderer suggests for "
         "it, for `image` and `torch` the paper's",
     )
-    momentum: Annotated[float, Field(ge=0, lt=1)] = Field(0.9, description="momentum μ of the signed gradients")
+    momentum: Annotated[float, Field(ge=0, lt=1)] = Field(default=0.9, description="momentum μ of the signed gradients")
     weight_decay: Annotated[float, Field(ge=0, le=1)] = Field(
-        1e-4, description="factor on the perturbation that is added to the sign"
+        default=1e-4, description="factor on the perturbation that is added to the sign"
     )
     truncation: Annotated[int, Field(ge=1, le=255)] | None = Field(
-        18,
+        default=18,
         description="U: largest change of an RGB value from the original inside the loop, in 1/255; null: no limit, "
         "which is the default for a renderer without gradients: silhouettes that move exceed any U at once",
     )

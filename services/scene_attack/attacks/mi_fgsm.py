@@ -23,17 +23,18 @@ class MIFGSM(SuggestedRates):
 
     method: Literal["mi-fgsm"] = "mi-fgsm"
     needs_gradient: ClassVar[bool] = True
-    steps: Annotated[int, Field(ge=1, le=10_000)] = Field(120, description="largest number of steps")
+    steps: Annotated[int, Field(ge=1, le=10_000)] = Field(default=120, description="largest number of steps")
     learning_rate: dict[str, Rate] = Field(
         default_factory=dict,
         description="step size of each group, in the group's units; default: the step of fgsm",
     )
     decay: Annotated[float, Field(ge=0, le=10)] = Field(
-        1.0, description="decay factor μ of the accumulated gradients; 0: the last gradient alone"
+        default=1.0, description="decay factor μ of the accumulated gradients; 0: the last gradient alone"
     )
-    loss: Loss = Field("log-odds", description=LOSS_DESCRIPTION)
+    loss: Loss = Field(default="log-odds", description=LOSS_DESCRIPTION)
     truncation: Annotated[int, Field(ge=1, le=255)] | None = Field(
-        18, description="U: largest change of an RGB value from the original inside the loop, in 1/255; null: no limit"
+        default=18,
+        description="U: largest change of an RGB value from the original inside the loop, in 1/255; null: no limit",
     )
 
     @property

@@ -40,9 +40,9 @@ class NaturalGradient(Attack):
     method: Literal["natural-gradient"] = "natural-gradient"
     needs_gradient: ClassVar[bool] = True
     needs_metric: ClassVar[bool] = True
-    steps: Annotated[int, Field(ge=1, le=10_000)] = Field(30, description="largest number of steps")
+    steps: Annotated[int, Field(ge=1, le=10_000)] = Field(default=30, description="largest number of steps")
     radius: Annotated[float, Field(gt=0, le=sqrt(3), allow_inf_nan=False)] = Field(
-        RADIUS,
+        default=RADIUS,
         description="p by which the first step changes the image; later ones between 1/64 of it and twice it; default: "
         f"a quarter of `perceptibility`, or {RADIUS:g} without it",
     )

@@ -31,7 +31,7 @@ class PRGF(DifferencesWithinLimits):
     method: Literal["p-rgf"] = "p-rgf"
     needs_gradient: ClassVar[bool] = False
     surrogate: Annotated[str, Field(min_length=1, max_length=100), reference("target")] | None = Field(
-        None,
+        default=None,
         description="another target, whose scores have gradients: the direction of its gradient is tried at each step "
         "beside the random ones; null: random directions alone",
     )
@@ -42,7 +42,7 @@ class PRGF(DifferencesWithinLimits):
         "one 15 of the steps that its renderer suggests",
     )
     pairs: Annotated[int, Field(ge=0, le=4096)] = Field(
-        4,
+        default=4,
         description="random directions of a step, each evaluated forwards and backwards: 2 queries, as the "
         "surrogate's direction is; 0 only with a surrogate",
     )

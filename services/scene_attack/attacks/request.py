@@ -30,21 +30,22 @@ class Expectation(Model):
     half-width of a uniform distribution about the scene's own value, except `noise`.
     """
 
-    azimuth: Degrees = Field(0.0, description="of the camera's azimuth, degrees")
-    elevation: Degrees = Field(0.0, description="of the camera's elevation, degrees")
-    roll: Degrees = Field(0.0, description="of the camera's roll, degrees")
-    distance: Relative = Field(0.0, description="of the camera's distance, as a share of it")
-    intensity: Relative = Field(0.0, description="of the light's intensity, as a share of it")
+    azimuth: Degrees = Field(default=0.0, description="of the camera's azimuth, degrees")
+    elevation: Degrees = Field(default=0.0, description="of the camera's elevation, degrees")
+    roll: Degrees = Field(default=0.0, description="of the camera's roll, degrees")
+    distance: Relative = Field(default=0.0, description="of the camera's distance, as a share of it")
+    intensity: Relative = Field(default=0.0, description="of the light's intensity, as a share of it")
     noise: Annotated[float, Field(ge=0, le=32, allow_inf_nan=False)] = Field(
-        0.0, description="standard deviation of the camera's noise, of each RGB value, in 1/255"
+        default=0.0, description="standard deviation of the camera's noise, of each RGB value, in 1/255"
     )
     samples: Annotated[int, Field(ge=0, le=64)] = Field(
-        4,
+        default=4,
         description="variations of a step; each image of the attack becomes 1 + `samples` images and queries; 0: the "
         "attack is of the scene itself alone, and the result measures the share for comparison",
     )
     checks: Annotated[int, Field(ge=1, le=10_000)] = Field(
-        100, description="fresh variations on which the result measures the share that is fooled, after the attack"
+        default=100,
+        description="fresh variations on which the result measures the share that is fooled, after the attack",
     )
 
     @model_validator(mode="after")

@@ -28,10 +28,10 @@ class SPSA(DifferencesWithinLimits):
     method: Literal["spsa"] = "spsa"
     needs_gradient: ClassVar[bool] = False
     pairs: Annotated[int, Field(ge=1, le=4096)] = Field(
-        16, description="random directions of a step, each evaluated forwards and backwards: 2 queries"
+        default=16, description="random directions of a step, each evaluated forwards and backwards: 2 queries"
     )
     directions: Literal["signs", "gaussian"] = Field(
-        "signs",
+        default="signs",
         description="`signs`: each coordinate moves by its half-step or back (SPSA); `gaussian`: by a normal random "
         "multiple of it (antithetic NES)",
     )

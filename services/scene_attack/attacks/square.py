@@ -31,13 +31,15 @@ class Square(Attack):
     method: Literal["square"] = "square"
     needs_gradient: ClassVar[bool] = False
     renderer: str = Field(
-        "image", description="the renderer whose parameters are attacked", json_schema_extra=renderer_names
+        default="image", description="the renderer whose parameters are attacked", json_schema_extra=renderer_names
     )
     steps: Annotated[int, Field(ge=1, le=100_000)] = Field(
-        1000, description="largest number of steps, over which the squares become smaller"
+        default=1000, description="largest number of steps, over which the squares become smaller"
     )
-    share: Annotated[float, Field(gt=0, le=1)] = Field(0.8, description="share of the pixels in the first squares")
-    loss: Loss = Field("margin", description=LOSS_DESCRIPTION)
+    share: Annotated[float, Field(gt=0, le=1)] = Field(
+        default=0.8, description="share of the pixels in the first squares"
+    )
+    loss: Loss = Field(default="margin", description=LOSS_DESCRIPTION)
 
     @property
     def objective(self) -> Loss:

@@ -48,27 +48,29 @@ class ZOO(Attack):
     needs_gradient: ClassVar[bool] = False
     per_group: ClassVar[tuple[str, ...]] = ("delta", "learning_rate")
     preset: Literal["paper-classification", "paper-vqa", "measured"] = Field(
-        "measured", description="the set of values from which settings left out are taken"
+        default="measured", description="the set of values from which settings left out are taken"
     )
     coordinates: Annotated[int, Field(ge=1, le=4096)] = Field(
-        128, description="random coordinates that are differenced and moved in each step; all if there are fewer"
+        default=128,
+        description="random coordinates that are differenced and moved in each step; all if there are fewer",
     )
     delta: Step | Literal["measured"] | dict[str, Step] = Field(
-        "measured",
+        default="measured",
         description="half-step of the central difference, in the group's units: one value, or one for each group",
     )
     learning_rate: Rate | dict[str, Rate] = Field(
-        2e-3,
+        default=2e-3,
         description="Adam's learning rate, in the group's units: one value, or one for each group; default through a "
         "renderer without gradients: 10 times the step that it suggests for each group",
     )
     weight: Annotated[float, Field(ge=0, le=1e6, allow_inf_nan=False)] = Field(
-        0.1,
+        default=0.1,
         description="λ: weight of the summed squares of the image's change; default through a renderer without "
         "gradients: 0.001",
     )
     truncation: Annotated[int, Field(ge=1, le=255)] | None = Field(
-        None, description="U, as for fgsm; null: no limit, as in the paper, which keeps changes small by λ alone"
+        default=None,
+        description="U, as for fgsm; null: no limit, as in the paper, which keeps changes small by λ alone",
     )
 
     @property

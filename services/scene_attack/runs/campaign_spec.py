@@ -78,26 +78,26 @@ class RandomViews(Model):
     """Azimuths drawn uniformly from [0, π), as the paper's, for each mesh its own."""
 
     random: Annotated[int, Field(ge=1, le=1000)] = Field(description="number of azimuths of each mesh")
-    seed: Seed = Field(0, description="seed of the azimuths; those of a mesh do not depend on the other meshes")
+    seed: Seed = Field(default=0, description="seed of the azimuths; those of a mesh do not depend on the other meshes")
 
 
 class SceneGrid(Model):
     """One object per scene: meshes × azimuths. All scenes have the same camera, lights, ground and material."""
 
-    meshes: tuple[MeshName, ...] = Field((), max_length=MAX_LISTED, description="names of meshes")
+    meshes: tuple[MeshName, ...] = Field(default=(), max_length=MAX_LISTED, description="names of meshes")
     kinds: tuple[str, ...] = Field(
-        (), max_length=100, description="kinds of library furniture, all meshes of which are added"
+        default=(), max_length=100, description="kinds of library furniture, all meshes of which are added"
     )
     per_kind: Annotated[int, Field(ge=1, le=1000)] | None = Field(
-        None, description="only the first so many meshes of each kind; null: all"
+        default=None, description="only the first so many meshes of each kind; null: all"
     )
     views: RandomViews | Annotated[tuple[Angle, ...], Field(min_length=1, max_length=1000)] = Field(
-        (Camera().azimuth,), description="azimuths in radians, or how many to draw at random"
+        default=(Camera().azimuth,), description="azimuths in radians, or how many to draw at random"
     )
     material: Annotated[str, reference("material")] = Field(
-        "matte", max_length=64, description="DSBRDF preset of the torch renderer"
+        default="matte", max_length=64, description="DSBRDF preset of the torch renderer"
     )
-    camera: Camera = Field(Camera(), description="the camera, whose azimuth the views replace")
+    camera: Camera = Field(default=Camera(), description="the camera, whose azimuth the views replace")
     lights: Lights = Lights()
     ground: Colour = Scene.model_fields["ground"].default
 
@@ -175,23 +175,27 @@ class QuestionGrid(Model):
     """
 
     images: Annotated[int, Field(ge=1, le=MAX_IMAGES)] = Field(description="number of scenes")
-    seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = Field(0, description="seed of the scenes")
+    seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = Field(default=0, description="seed of the scenes")
     first: Annotated[int, Field(ge=0, le=2**62)] = Field(
-        0, description="number of the first scene among those of the seed; the others follow it"
+        default=0, description="number of the first scene among those of the seed; the others follow it"
     )
     objects: tuple[Count, Count] = Field(
-        (MIN_OBJECTS, MAX_OBJECTS), description="fewest and most objects of a scene, between which each is drawn"
+        default=(MIN_OBJECTS, MAX_OBJECTS),
+        description="fewest and most objects of a scene, between which each is drawn",
     )
     questions: Annotated[int, Field(ge=1, le=MOST_TOGETHER)] = Field(
-        1, description="number of questions about each scene, of different families"
+        default=1, description="number of questions about each scene, of different families"
     )
-    question_seed: Seed = Field(0, description="seed of the questions")
-    kinds: tuple[str, ...] = Field((), max_length=len(KINDS), description="kinds of question families; empty: all")
+    question_seed: Seed = Field(default=0, description="seed of the questions")
+    kinds: tuple[str, ...] = Field(
+        default=(), max_length=len(KINDS), description="kinds of question families; empty: all"
+    )
     together: bool = Field(
-        False, description="attack the questions about a scene together, in one job; else each in one of its own"
+        default=False,
+        description="attack the questions about a scene together, in one job; else each in one of its own",
     )
-    size: tuple[Pixels, Pixels] = Field(IMAGE_SIZE, description="height and width of the images, pixels")
-    shadows: bool = Field(True, description="draw shadows")
+    size: tuple[Pixels, Pixels] = Field(default=IMAGE_SIZE, description="height and width of the images, pixels")
+    shadows: bool = Field(default=True, description="draw shadows")
 
     @field_validator("objects")
     @classmethod
@@ -270,26 +274,26 @@ def _confident(value: object) -> bool:
 class Selection(Model):
     """The views that are attacked: those whose first answer is right, and of these the preferred ones."""
 
-    right: bool = Field(True, description="only views whose truth is known and whose first answer is right")
+    right: bool = Field(default=True, description="only views whose truth is known and whose first answer is right")
     least_confidence: Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)] = Field(
-        0.0, description="least probability of the first answer"
+        default=0.0, description="least probability of the first answer"
     )
     per_mesh: Annotated[int, Field(ge=1)] | None = Field(
-        None, description="the most confident so many views of each mesh; null: all"
+        default=None, description="the most confident so many views of each mesh; null: all"
     )
     per_class: Annotated[int, Field(ge=1)] | None = Field(
-        None, description="the most confident so many views of each class (views of the same truth); null: all"
+        default=None, description="the most confident so many views of each class (views of the same truth); null: all"
     )
     most: Annotated[int, Field(ge=1)] | None = Field(
-        None, description="the most confident so many views of all that are left; null: all"
+        default=None, description="the most confident so many views of all that are left; null: all"
     )
     shared: bool = Field(
-        False,
+        default=False,
         description="attack the same views of every target of the grid, as in the paper: the rules hold for all of "
         "them, and the most confident are those of the grid's first target",
     )
     prefer: Literal["confident", "listed"] = Field(
-        "confident",
+        default="confident",
         exclude_if=_confident,
         description="which views the rules that limit their number take: the most confident, as the paper takes views "
         "of objects, or those listed first; the paper draws its images with questions at random",
@@ -319,23 +323,27 @@ class Grid(Model):
     """All combinations of scenes, targets, attacks and seeds."""
 
     scenes: SceneGrid | Annotated[tuple[Scene, ...], Field(min_length=1, max_length=MAX_LISTED)] | None = Field(
-        None, exclude_if=absent, description="scenes, or meshes and views to make them of"
+        default=None, exclude_if=absent, description="scenes, or meshes and views to make them of"
     )
     generate: QuestionGrid | None = Field(
-        None, exclude_if=absent, description="in place of `scenes`: scenes after CLEVR, and questions about each"
+        default=None,
+        exclude_if=absent,
+        description="in place of `scenes`: scenes after CLEVR, and questions about each",
     )
     targets: tuple[NamedTarget, ...] = Field(
-        (TargetChoice(),),
+        default=(TargetChoice(),),
         min_length=1,
         max_length=32,
         description="the networks; each is a row of the table; one that takes no question may be written as its name",
     )
     attacks: tuple[Column, ...] = Field(min_length=1, max_length=64)
-    seeds: tuple[Seed, ...] = Field((0,), min_length=1, max_length=1000)
-    goal: Goal = Field(Goal(), description="the goal of every job; the truth is each scene's own")
+    seeds: tuple[Seed, ...] = Field(default=(0,), min_length=1, max_length=1000)
+    goal: Goal = Field(default=Goal(), description="the goal of every job; the truth is each scene's own")
     tolerance: AnyTolerance = DEFAULT_TOLERANCE
-    analysis: AnalysisRequest = Field(AnalysisRequest(), description="analyses to make after each attack; default none")
-    selection: Selection = Field(Selection(), description="which views are attacked")
+    analysis: AnalysisRequest = Field(
+        default=AnalysisRequest(), description="analyses to make after each attack; default none"
+    )
+    selection: Selection = Field(default=Selection(), description="which views are attacked")
 
     @field_validator("goal")
     @classmethod
@@ -391,10 +399,11 @@ class CampaignSpec(Model):
     """Many attacks that belong together: grids, single jobs, or both."""
 
     name: Name = "campaign"
-    grids: tuple[Grid, ...] = Field((), max_length=32)
-    jobs: tuple[JobSpec, ...] = Field((), max_length=MAX_LISTED, description="jobs that are run as they are")
+    grids: tuple[Grid, ...] = Field(default=(), max_length=32)
+    jobs: tuple[JobSpec, ...] = Field(default=(), max_length=MAX_LISTED, description="jobs that are run as they are")
     reuse: bool = Field(
-        True, description="take the result of an earlier job with the same request, backend, weights and versions"
+        default=True,
+        description="take the result of an earlier job with the same request, backend, weights and versions",
     )
 
     @field_validator("jobs", mode="before")

@@ -136,10 +136,10 @@ class Call(Model):
         validation_alias=AliasChoices("function", "type"), description="a function of the language, e.g. `filter_color`"
     )
     inputs: tuple[int, ...] = Field(
-        (), max_length=8, description="numbers of the earlier functions whose outputs it takes, from 0"
+        default=(), max_length=8, description="numbers of the earlier functions whose outputs it takes, from 0"
     )
     value_inputs: tuple[Word, ...] = Field(
-        (),
+        default=(),
         max_length=8,
         validation_alias=AliasChoices("value_inputs", "side_inputs"),
         description='its values, e.g. ["red"]',
@@ -187,13 +187,14 @@ class TargetChoice(Model):
     """The network under attack and, if it answers questions about images, the question."""
 
     name: Annotated[str, reference("target")] = Field(
-        DEFAULT_TARGET, min_length=1, max_length=100, description="a name that `GET /v1/targets` lists"
+        default=DEFAULT_TARGET, min_length=1, max_length=100, description="a name that `GET /v1/targets` lists"
     )
     question: Text | Calls | None = Field(
-        None, description="the question, for targets that take one: in words, or its program as in CLEVR's files"
+        default=None,
+        description="the question, for targets that take one: in words, or its program as in CLEVR's files",
     )
     questions: tuple[Text | Calls, ...] = Field(
-        (),
+        default=(),
         max_length=MOST_TOGETHER,
         exclude_if=operator.not_,
         description="in place of `question`, several about the same image, whose answers are attacked together",
@@ -257,25 +258,25 @@ class Goal(Model):
     """
 
     truth: Labels | None = Field(
-        None,
+        default=None,
         description="the true label, or all labels that are right; where it is left out it is taken from the table of "
         "library meshes, else from `leave`; an empty list says that nobody knows it",
     )
     leave: Labels | None = Field(
-        None,
+        default=None,
         description="the label, or all labels, which the network must stop answering; where the truth is left out and "
         "the table has none, it is taken for the truth",
     )
-    reach: Label | None = Field(None, description="the label that the network must answer (targeted)")
+    reach: Label | None = Field(default=None, description="the label that the network must answer (targeted)")
     least_confidence: float = Field(
-        0.0,
+        default=0.0,
         ge=0,
         lt=1,
         allow_inf_nan=False,
         description="least probability of the new answer for the goal to be met",
     )
     leave_kind: bool = Field(
-        False,
+        default=False,
         exclude_if=operator.not_,
         description="of a question: the new answer must be of another kind than the question asks for, such as `yes` "
         "to a question about a shape",
@@ -303,13 +304,13 @@ class JobSpec(Model):
 
     scene: Scene
     record: SceneRecord | None = Field(
-        None,
+        default=None,
         exclude_if=absent,
         description="the scene in CLEVR's own format, from whose objects the right answer follows; `scene` may then "
         "be left out",
     )
     generate: Generate | None = Field(
-        None,
+        default=None,
         exclude_if=absent,
         description="a scene after CLEVR to make, in place of `scene` and `record`, which are filled in",
     )
@@ -317,14 +318,15 @@ class JobSpec(Model):
     goal: Goal = Goal()
     attack: AnyAttack = Field(default_factory=lambda: ATTACKS[_method_for({})].model_validate({}))
     tolerance: AnyTolerance = Field(
-        DEFAULT_TOLERANCE,
+        default=DEFAULT_TOLERANCE,
         description="largest error of a displayed value, in [0,1], of images inside the attack; `exact` for no "
         "approximation; the verdict is always on the exact image",
     )
     analysis: AnalysisRequest = Field(
-        AnalysisRequest(), description="analyses of the stored perturbation to make after the attack; default none"
+        default=AnalysisRequest(),
+        description="analyses of the stored perturbation to make after the attack; default none",
     )
-    seed: Seed = Field(0, description="seed of every random number in the job")
+    seed: Seed = Field(default=0, description="seed of every random number in the job")
 
     @field_validator("record")
     @classmethod

@@ -69,19 +69,21 @@ def absent(value: object) -> bool:
 class Camera(Model):
     """A camera on a sphere around the origin, looking at it, +y up."""
 
-    azimuth: Angle = Field(0.61, description="angle about +y from +z towards +x, radians")
+    azimuth: Angle = Field(default=0.61, description="angle about +y from +z towards +x, radians")
     elevation: Annotated[float, Field(ge=-pi / 2, le=pi / 2, allow_inf_nan=False)] = Field(
-        ELEVATION, description="angle above the horizon, radians; the paper's is π/9"
+        default=ELEVATION, description="angle above the horizon, radians; the paper's is π/9"
     )
     distance: Annotated[float, Field(ge=0.05, le=100, allow_inf_nan=False)] = Field(
-        DISTANCE, description="distance from the origin, scene units; the paper's is 1.8"
+        default=DISTANCE, description="distance from the origin, scene units; the paper's is 1.8"
     )
     field_of_view: Annotated[float, Field(ge=0.01, le=2.8, allow_inf_nan=False)] = Field(
-        FIELD_OF_VIEW, description="vertical field of view, radians"
+        default=FIELD_OF_VIEW, description="vertical field of view, radians"
     )
-    size: tuple[Pixels, Pixels] = Field((224, 224), description="height and width in pixels; the paper's is 448×448")
+    size: tuple[Pixels, Pixels] = Field(
+        default=(224, 224), description="height and width in pixels; the paper's is 448×448"
+    )
     viewer: Literal["distant", "perspective"] = Field(
-        "distant",
+        default="distant",
         description="viewer direction of highlights (torch): the same for all pixels, as in the paper, or each pixel's "
         "own; at distance 3 the two differ by up to a third of a highlight",
     )
@@ -105,21 +107,21 @@ class SceneObject(Model):
         description="`furniture/<slug>`, `primitive/<name>`, or the id of an uploaded mesh (`sha256:<hex>`)",
     )
     material: Annotated[str, reference("material")] = Field(
-        "matte", max_length=64, description="DSBRDF preset of the torch renderer"
+        default="matte", max_length=64, description="DSBRDF preset of the torch renderer"
     )
-    color: Colour = Field((1.0, 1.0, 1.0), description="linear RGB factor on the mesh's own colours")
-    translation: Vector = Field((0.0, 0.0, 0.0), description="position of the object's centre, scene units")
-    rotation: Rotation = Field((0.0, 0.0, 0.0), description="rotation vector (axis times angle), radians")
+    color: Colour = Field(default=(1.0, 1.0, 1.0), description="linear RGB factor on the mesh's own colours")
+    translation: Vector = Field(default=(0.0, 0.0, 0.0), description="position of the object's centre, scene units")
+    rotation: Rotation = Field(default=(0.0, 0.0, 0.0), description="rotation vector (axis times angle), radians")
     scale: Annotated[float, Field(ge=1e-3, le=100, allow_inf_nan=False)] = Field(
-        1.0, description="size; at 1 the object's bounding sphere fits the frame at distance 1.8"
+        default=1.0, description="size; at 1 the object's bounding sphere fits the frame at distance 1.8"
     )
     metallic: Unit | None = Field(
-        None,
+        default=None,
         exclude_if=absent,
         description=f"{METALLIC}; null: the mesh's own surface, or 0 if `roughness` is given",
     )
     roughness: Unit | None = Field(
-        None,
+        default=None,
         exclude_if=absent,
         description=f"{ROUGHNESS}; null: the mesh's own surface, or 0.5 if `metallic` is given",
     )
@@ -129,25 +131,25 @@ class Floor(Model):
     """A level square under the objects. It is no object: attacks neither move nor recolour it."""
 
     size: Annotated[float, Field(ge=0.01, le=200, allow_inf_nan=False)] = Field(
-        20.0, description="side, scene units; its middle is straight above or below the origin"
+        default=20.0, description="side, scene units; its middle is straight above or below the origin"
     )
-    height: Coordinate = Field(0.0, description="y of its plane, scene units")
+    height: Coordinate = Field(default=0.0, description="y of its plane, scene units")
     contact: bool = Field(
-        False,
+        default=False,
         exclude_if=operator.not_,
         description="whether `height` is above the lowest point of the objects, so that they stand on it at 0",
     )
-    color: Colour = Field((0.5, 0.5, 0.5), description="linear RGB")
+    color: Colour = Field(default=(0.5, 0.5, 0.5), description="linear RGB")
     material: Annotated[str, reference("material")] = Field(
-        "matte", max_length=64, description="DSBRDF preset of the torch renderer"
+        default="matte", max_length=64, description="DSBRDF preset of the torch renderer"
     )
     metallic: Unit | None = Field(
-        None,
+        default=None,
         exclude_if=absent,
         description=f"{METALLIC}; null: a Lambertian body under a coat, or 0 if `roughness` is given",
     )
     roughness: Unit | None = Field(
-        None,
+        default=None,
         exclude_if=absent,
         description=f"{ROUGHNESS}; null: a Lambertian body under a coat, or 0.5 if `metallic` is given",
     )
@@ -166,19 +168,20 @@ class PointLight(Model):
     """A point light of the pyrender renderer; its light falls off with the square of the distance."""
 
     energy: Annotated[float, Field(ge=0, le=10_000, allow_inf_nan=False)] = Field(
-        30.0, description="radiant intensity; 30 at distance 3 lights a white surface facing it about fully"
+        default=30.0, description="radiant intensity; 30 at distance 3 lights a white surface facing it about fully"
     )
-    position: Vector = Field((1.2, 2.0, 1.5), description="scene units")
+    position: Vector = Field(default=(1.2, 2.0, 1.5), description="scene units")
 
 
 class DirectionalLight(Model):
     """A light of the pyrender renderer at infinite distance, with parallel rays, like the sun."""
 
     energy: Annotated[float, Field(ge=0, le=10_000, allow_inf_nan=False)] = Field(
-        3.0, description="irradiance of a surface that faces it; 3 is about that of the default point light"
+        default=3.0, description="irradiance of a surface that faces it; 3 is about that of the default point light"
     )
     direction: Direction = Field(
-        (-1.2, -2.0, -1.5), description="direction in which its light travels; any length above 0, which has no effect"
+        default=(-1.2, -2.0, -1.5),
+        description="direction in which its light travels; any length above 0, which has no effect",
     )
 
 
@@ -186,17 +189,19 @@ class SpotLight(Model):
     """A point light of the pyrender renderer that shines into a cone only."""
 
     energy: Annotated[float, Field(ge=0, le=10_000, allow_inf_nan=False)] = Field(
-        30.0, description="radiant intensity within the inner angle; it falls off with the square of the distance"
+        default=30.0,
+        description="radiant intensity within the inner angle; it falls off with the square of the distance",
     )
-    position: Vector = Field((1.2, 2.0, 1.5), description="scene units")
+    position: Vector = Field(default=(1.2, 2.0, 1.5), description="scene units")
     direction: Direction = Field(
-        (-1.2, -2.0, -1.5), description="axis of its cone, pointing away from the light; any length above 0"
+        default=(-1.2, -2.0, -1.5), description="axis of its cone, pointing away from the light; any length above 0"
     )
     inner_angle: Annotated[float, Field(ge=0, le=pi / 2, allow_inf_nan=False)] = Field(
-        0.0, description="angle from the axis where the light begins to fall off, radians; 0 to below `outer_angle`"
+        default=0.0,
+        description="angle from the axis where the light begins to fall off, radians; 0 to below `outer_angle`",
     )
     outer_angle: Annotated[float, Field(gt=0, le=pi / 2, allow_inf_nan=False)] = Field(
-        pi / 4,
+        default=pi / 4,
         description="angle from the axis where the light has fallen to 0, radians; at most π/2",
         validate_default=True,  # against an inner angle that was given
     )
@@ -214,18 +219,18 @@ class Environment(Model):
     """A high-dynamic-range environment map: the light of the torch renderer."""
 
     map: Annotated[str, reference("map")] = Field(
-        "studio",
+        default="studio",
         min_length=1,
         max_length=200,
         description="name of a built-in map, or the id of an uploaded one (`sha256:<hex>`); `lights`: the scene's own "
         "lights as the origin sees them",
     )
     size: tuple[Annotated[int, Field(ge=1, le=64)], Annotated[int, Field(ge=1, le=128)]] | Literal["auto"] = Field(
-        (16, 32),
+        default=(16, 32),
         description="rows (polar angle) and columns (azimuth) it is averaged down to; `auto`: the smallest of 4×8, "
         "8×16, 16×32, 32×64 and 64×128 whose error against 64×128 is within the job's tolerance",
     )
-    rotation: Angle = Field(0.0, description="turn about +y, radians")
+    rotation: Angle = Field(default=0.0, description="turn about +y, radians")
 
     @property
     def texels(self) -> tuple[int, int]:
@@ -237,16 +242,16 @@ class Lights(Model):
     """All lights of a scene. The torch renderer uses the environment map, pyrender the others."""
 
     ambient: Annotated[float, Field(ge=0, le=10, allow_inf_nan=False)] = Field(
-        0.4, description="mean radiance of the light from all around, brighter above (pyrender)"
+        default=0.4, description="mean radiance of the light from all around, brighter above (pyrender)"
     )
     points: tuple[PointLight, ...] = Field(
-        (PointLight(),), max_length=MAX_LIGHTS, description=f"point lights, at most {MAX_LIGHTS} (pyrender)"
+        default=(PointLight(),), max_length=MAX_LIGHTS, description=f"point lights, at most {MAX_LIGHTS} (pyrender)"
     )
     directional: tuple[DirectionalLight, ...] = Field(
-        (), max_length=MAX_LIGHTS, description=f"directional lights, at most {MAX_LIGHTS} (pyrender)"
+        default=(), max_length=MAX_LIGHTS, description=f"directional lights, at most {MAX_LIGHTS} (pyrender)"
     )
     spots: tuple[SpotLight, ...] = Field(
-        (), max_length=MAX_LIGHTS, description=f"spot lights, at most {MAX_LIGHTS} (pyrender)"
+        default=(), max_length=MAX_LIGHTS, description=f"spot lights, at most {MAX_LIGHTS} (pyrender)"
     )
     environment: Environment = Environment()
 
@@ -255,19 +260,19 @@ class Shadows(Model):
     """Shadows that objects cast on each other and on themselves."""
 
     softness: Annotated[float, Field(ge=0, le=10, allow_inf_nan=False)] = Field(
-        0.1, description="radius of each point and spot light as seen by what it shades, scene units (pyrender)"
+        default=0.1, description="radius of each point and spot light as seen by what it shades, scene units (pyrender)"
     )
     angle: Annotated[float, Field(ge=0, le=0.5, allow_inf_nan=False)] = Field(
-        0.02, description="angular radius of each directional light, radians; the sun's is 0.005 (pyrender)"
+        default=0.02, description="angular radius of each directional light, radians; the sun's is 0.005 (pyrender)"
     )
     resolution: Annotated[int, Field(ge=64, le=4096, multiple_of=8)] = Field(
-        1024, description="texels a side of each shadow map, a multiple of 8 (pyrender)"
+        default=1024, description="texels a side of each shadow map, a multiple of 8 (pyrender)"
     )
     samples: Annotated[int, Field(ge=1, le=64)] = Field(
-        16, description="points of each light whose shadows are averaged (pyrender)"
+        default=16, description="points of each light whose shadows are averaged (pyrender)"
     )
     texel_samples: Annotated[int, Field(ge=1, le=8)] = Field(
-        2,
+        default=2,
         description="directions a side of each texel of the environment map, a square grid of them, whose shadows are "
         "averaged (torch)",
     )
@@ -277,7 +282,7 @@ class Background(Model):
     """What is behind objects and floor, in place of the colour `ground`: the environment map, or a picture."""
 
     image: Annotated[str, Field(min_length=1, max_length=MAX_PICTURE)] | None = Field(
-        None,
+        default=None,
         exclude_if=absent,
         description="a PNG, JPEG or WebP file in base64, of the size of the camera's image; null: the environment map "
         "as the camera sees it, in the exposure of the torch renderer",
@@ -289,15 +294,21 @@ class Scene(Model):
 
     camera: Camera = Camera()
     objects: tuple[SceneObject, ...] = Field(min_length=1, max_length=16)
-    floor: Floor | None = Field(None, exclude_if=absent, description="a floor for the objects to stand on; null: none")
+    floor: Floor | None = Field(
+        default=None, exclude_if=absent, description="a floor for the objects to stand on; null: none"
+    )
     lights: Lights = Lights()
-    shadows: Shadows | None = Field(None, exclude_if=absent, description="shadows of the objects; null: none are drawn")
+    shadows: Shadows | None = Field(
+        default=None, exclude_if=absent, description="shadows of the objects; null: none are drawn"
+    )
     ground: Colour = Field(
-        (GROUND, GROUND, GROUND),
+        default=(GROUND, GROUND, GROUND),
         description="displayed colour behind the objects; rounded to k/255, so that 8-bit images keep it exactly",
     )
     background: Background | None = Field(
-        None, exclude_if=absent, description="a picture or the environment map in place of `ground`; null: neither"
+        default=None,
+        exclude_if=absent,
+        description="a picture or the environment map in place of `ground`; null: neither",
     )
 
     @field_validator("ground")

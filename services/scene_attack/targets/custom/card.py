@@ -26,15 +26,15 @@ class Preprocessing(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    input_size: tuple[Pixels, Pixels] = Field((224, 224), description="height and width of the input, pixels")
-    mean: Triple = Field((0.0, 0.0, 0.0), description="mean of red, green and blue, for values in [0,1]")
+    input_size: tuple[Pixels, Pixels] = Field(default=(224, 224), description="height and width of the input, pixels")
+    mean: Triple = Field(default=(0.0, 0.0, 0.0), description="mean of red, green and blue, for values in [0,1]")
     std: tuple[Positive, Positive, Positive] = Field(
-        (1.0, 1.0, 1.0), description="divisor of red, green and blue, for values in [0,1]"
+        default=(1.0, 1.0, 1.0), description="divisor of red, green and blue, for values in [0,1]"
     )
     resize: Literal["bilinear", "bicubic"] = Field(
-        "bilinear", description="interpolation, antialiased, where an image has another size"
+        default="bilinear", description="interpolation, antialiased, where an image has another size"
     )
-    channels: Literal["rgb", "bgr"] = Field("rgb", description="order of the input's channels")
+    channels: Literal["rgb", "bgr"] = Field(default="rgb", description="order of the input's channels")
 
 
 class Card(BaseModel):
@@ -46,29 +46,31 @@ class Card(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    title: Line | None = Field(None, description="a line for lists; default: the folder's name")
+    title: Line | None = Field(default=None, description="a line for lists; default: the folder's name")
     labels: Annotated[tuple[Label, ...], Field(min_length=1, max_length=MAX_LABELS)] | Line = Field(
         description="the label of each score, in order: a list, the name of a text file in the folder with one label a "
         'line, or "imagenet" for the 1,000 classes of ImageNet-1k'
     )
-    preprocessing: Preprocessing = Field(Preprocessing(), description="how an image becomes the network's input")
+    preprocessing: Preprocessing = Field(
+        default=Preprocessing(), description="how an image becomes the network's input"
+    )
     output: Literal["scores", "probabilities"] = Field(
-        "scores",
+        default="scores",
         description="what the network returns: scores before the softmax, or probabilities, of which the logarithm is "
         "taken",
     )
-    licence: Line = Field("not stated", description="the licence of the weights")
-    source: Line = Field("not stated", description="where the weights come from")
+    licence: Line = Field(default="not stated", description="the licence of the weights")
+    source: Line = Field(default="not stated", description="where the weights come from")
     architecture: Line | None = Field(
-        None, description="for model.safetensors: the registered architecture whose weights these are"
+        default=None, description="for model.safetensors: the registered architecture whose weights these are"
     )
     factory: Line | None = Field(
-        None,
+        default=None,
         pattern=r"^[A-Za-z_][\w.]*:[A-Za-z_]\w*$",
         description="module:callable that returns the network; it must be among SCENE_ATTACK_TARGET_FACTORIES",
     )
     endpoint: Line | None = Field(
-        None, description="URL that answers with scores; it must be among SCENE_ATTACK_TARGET_ENDPOINTS"
+        default=None, description="URL that answers with scores; it must be among SCENE_ATTACK_TARGET_ENDPOINTS"
     )
 
 
