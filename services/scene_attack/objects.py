@@ -255,7 +255,7 @@ def attack(
     from scene_attack.scenes.exported_assets import write_assets
 
     chosen = _set_up(options)
-    drawn: Mapping[str, Any] = scene.request if isinstance(scene, Owned) else {}
+    drawn: dict[str, Any] = scene.request if isinstance(scene, Owned) else {}
     given = {"scene": None if drawn else scene, "attack": attack, "goal": goal}
     stated = {name: as_data(name, one) for name, one in given.items() if one is not None}
     fields = {"seed": seed} | drawn | others | stated

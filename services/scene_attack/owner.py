@@ -5,7 +5,7 @@ What several threads ask for is done one after the other, so that it has the res
 
 import os
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeVar
 
@@ -56,7 +56,7 @@ def run(work: Callable[[Callable[[], bool]], Answer]) -> Answer:
 class Owned:
     """A renderer that renders in the owner thread; the rest is the renderer's own."""
 
-    def __init__(self, renderer: Any, request: Mapping[str, Any]) -> None:
+    def __init__(self, renderer: Any, request: dict[str, Any]) -> None:
         self._renderer = renderer
         self.request = request
         """What a request has of it: its scene, its tolerance, and the attack's renderer and groups."""

@@ -12,8 +12,8 @@ has a context that says how: a stored request stays readable when what it names 
 
 import json
 import sys
-from collections.abc import Callable, Mapping, Sized
-from typing import Any, Literal
+from collections.abc import Callable, Mapping, Sequence, Sized
+from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar
 
 from pydantic import AfterValidator, BaseModel, GetCoreSchemaHandler, ValidationInfo, model_validator
 from pydantic_core import (
@@ -110,6 +110,22 @@ class Strict(BaseModel):
     @classmethod
     def _few_fields(cls, data: Any) -> Any:
         return _few(data) if isinstance(data, dict) else data
+
+
+Item = TypeVar("Item")
+
+if TYPE_CHECKING:
+
+    class Several(Generic[Item]):
+        """What type checkers know of a field that takes a list or a tuple, and is a tuple. They do not know what
+        pydantic converts, but they do know descriptors.
+        """
+
+        def __get__(self, model: object, owner: type | None = None) -> tuple[Item, ...]: ...
+
+        def __set__(self, model: object, given: Sequence[Item]) -> None: ...
+else:
+    Several = tuple[Item, ...]
 
 
 NESTED = f"it is nested deeper than {MOST_NESTED} lists and objects"

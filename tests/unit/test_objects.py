@@ -4,6 +4,8 @@ result gives.
 
 import base64
 import json
+import subprocess
+import sys
 import threading
 from collections.abc import Iterator
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -303,6 +305,31 @@ def test_a_folder_with_another_result_is_refused_and_the_same_request_is_taken(t
     with pytest.raises(InvalidRequest, match="is a file; name a folder"):
         attack(network(), out=tmp_path / "out" / "result.json", **SMALL)
     assert (tmp_path / "out" / "result.json").read_bytes() == before
+
+
+def test_a_type_checker_takes_what_a_program_writes(tmp_path: Path) -> None:
+    program = """
+from pathlib import Path
+
+import scene_attack as sa
+
+thing: sa.Object = sa.Object(mesh=Path("chair.obj"), material="plastic")
+scene = sa.Scene(camera=sa.Camera(size=(64, 64)), objects=[thing], lights=sa.Lights(points=[sa.PointLight()]))
+first: sa.Object = scene.objects[0]
+name: str = first.mesh
+attack = sa.FGSM(renderer="torch", groups=["illumination"])
+result = sa.attack(sa.renderer(scene), "efficientnet-lite0", attack, goal=sa.Goal(truth="chair"))
+sa.Object(mesh=5)
+"""
+    (tmp_path / "program.py").write_text(program)
+    (tmp_path / "none.ini").write_text("[mypy]\n")
+    options = ["--strict", "--follow-imports=silent", "--config-file=none.ini", "program.py"]
+    done = subprocess.run(
+        [sys.executable, "-m", "mypy", *options], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    first, *others = done.stdout.splitlines()
+    assert first.startswith('program.py:12: error: Argument "mesh" to "SceneObject" has incompatible type "int"')
+    assert others == ["Found 1 error in 1 file (checked 1 source file)"]
 
 
 @pytest.fixture

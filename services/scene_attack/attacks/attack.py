@@ -16,6 +16,7 @@ from scene_attack.attacks.request import Expectation, Loss
 from scene_attack.plugins import Registry
 from scene_attack.rendering.declaration import MAX_STEP, RENDERERS, Group
 from scene_attack.scenes.description import Model
+from scene_attack.strict import Several
 from scene_attack.text import there_are
 
 if TYPE_CHECKING:
@@ -94,8 +95,8 @@ class Attack(Model):
     renderer: str = Field(
         default="torch", description="the renderer whose parameters are attacked", json_schema_extra=renderer_names
     )
-    groups: tuple[str, ...] = Field(
-        default=(),
+    groups: Several[str] = Field(
+        default=(),  # type: ignore[arg-type]
         max_length=8,
         description="the parameter groups to attack; empty means the renderer's default groups",
     )

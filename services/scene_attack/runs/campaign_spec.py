@@ -51,7 +51,7 @@ from scene_attack.scenes.description import (
     SceneObject,
     absent,
 )
-from scene_attack.strict import Names, reference
+from scene_attack.strict import Names, Several, reference
 from scene_attack.text import line, there_are
 from scene_attack_questions.clevr.description import describe
 from scene_attack_questions.clevr.generator import MAX_OBJECTS, MIN_OBJECTS, generate
@@ -337,7 +337,7 @@ class Grid(Model):
         description="the networks; each is a row of the table; one that takes no question may be written as its name",
     )
     attacks: tuple[Column, ...] = Field(min_length=1, max_length=64)
-    seeds: tuple[Seed, ...] = Field(default=(0,), min_length=1, max_length=1000)
+    seeds: Several[Seed] = Field(default=(0,), min_length=1, max_length=1000)  # type: ignore[arg-type]
     goal: Goal = Field(default=Goal(), description="the goal of every job; the truth is each scene's own")
     tolerance: AnyTolerance = DEFAULT_TOLERANCE
     analysis: AnalysisRequest = Field(
@@ -399,8 +399,8 @@ class CampaignSpec(Model):
     """Many attacks that belong together: grids, single jobs, or both."""
 
     name: Name = "campaign"
-    grids: tuple[Grid, ...] = Field(default=(), max_length=32)
-    jobs: tuple[JobSpec, ...] = Field(default=(), max_length=MAX_LISTED, description="jobs that are run as they are")
+    grids: Several[Grid] = Field(default=(), max_length=32)  # type: ignore[arg-type]
+    jobs: Several[JobSpec] = Field(default=(), max_length=MAX_LISTED, description="jobs that are run as they are")  # type: ignore[arg-type]
     reuse: bool = Field(
         default=True,
         description="take the result of an earlier job with the same request, backend, weights and versions",

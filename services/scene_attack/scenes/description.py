@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Mapping
 from math import pi
 from pathlib import PurePath
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import (
     AfterValidator,
@@ -22,7 +22,7 @@ from pydantic import (
 )
 
 from scene_attack.scenes.mesh_arrays import MeshArrays
-from scene_attack.strict import Strict, reference
+from scene_attack.strict import Several, Strict, reference
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Unit = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
@@ -99,11 +99,22 @@ def _as_written(mesh: object, handler: ValidatorFunctionWrapHandler) -> Any:
 
 MeshName = Annotated[str, Field(min_length=1, max_length=200), reference("mesh"), WrapValidator(_as_written)]
 
+if TYPE_CHECKING:
+
+    class GivenMesh:
+        """What type checkers know of a mesh's name: a path and arrays are taken, too (see `Several`)."""
+
+        def __get__(self, thing: object, owner: type | None = None) -> str: ...
+
+        def __set__(self, thing: object, given: str | PurePath | MeshArrays) -> None: ...
+else:
+    GivenMesh = MeshName
+
 
 class SceneObject(Model):
     """A mesh in the scene, with its surface and its pose."""
 
-    mesh: MeshName = Field(
+    mesh: GivenMesh = Field(
         description="`furniture/<slug>`, `primitive/<name>`, or the id of an uploaded mesh (`sha256:<hex>`)",
     )
     material: Annotated[str, reference("material")] = Field(
@@ -244,14 +255,20 @@ class Lights(Model):
     ambient: Annotated[float, Field(ge=0, le=10, allow_inf_nan=False)] = Field(
         default=0.4, description="mean radiance of the light from all around, brighter above (pyrender)"
     )
-    points: tuple[PointLight, ...] = Field(
-        default=(PointLight(),), max_length=MAX_LIGHTS, description=f"point lights, at most {MAX_LIGHTS} (pyrender)"
+    points: Several[PointLight] = Field(
+        default=(PointLight(),),  # type: ignore[arg-type]
+        max_length=MAX_LIGHTS,
+        description=f"point lights, at most {MAX_LIGHTS} (pyrender)",
     )
-    directional: tuple[DirectionalLight, ...] = Field(
-        default=(), max_length=MAX_LIGHTS, description=f"directional lights, at most {MAX_LIGHTS} (pyrender)"
+    directional: Several[DirectionalLight] = Field(
+        default=(),  # type: ignore[arg-type]
+        max_length=MAX_LIGHTS,
+        description=f"directional lights, at most {MAX_LIGHTS} (pyrender)",
     )
-    spots: tuple[SpotLight, ...] = Field(
-        default=(), max_length=MAX_LIGHTS, description=f"spot lights, at most {MAX_LIGHTS} (pyrender)"
+    spots: Several[SpotLight] = Field(
+        default=(),  # type: ignore[arg-type]
+        max_length=MAX_LIGHTS,
+        description=f"spot lights, at most {MAX_LIGHTS} (pyrender)",
     )
     environment: Environment = Environment()
 
@@ -293,7 +310,7 @@ class Scene(Model):
     """A complete scene. Only `objects` has no default."""
 
     camera: Camera = Camera()
-    objects: tuple[SceneObject, ...] = Field(min_length=1, max_length=16)
+    objects: Several[SceneObject] = Field(min_length=1, max_length=16)
     floor: Floor | None = Field(
         default=None, exclude_if=absent, description="a floor for the objects to stand on; null: none"
     )
