@@ -138,5 +138,7 @@ def test_ready_means_a_worker(stack: Stack) -> None:
         return found
 
     parts = dict.fromkeys(("ready", "database", "redis", "storage", "worker"), True)
-    assert answer() == parts | {"workers": 1, "extensions": [], "targets": []}
+    ready = answer()
+    assert [(plugin["name"], plugin["error"]) for plugin in ready.pop("plugins")] == [("questions", None)]
+    assert ready == parts | {"workers": 1, "targets": []}
     until(lambda: answer()["workers"] == 1, "the worker keeps saying that it lives")
