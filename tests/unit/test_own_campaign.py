@@ -8,6 +8,7 @@ import pytest
 import torch
 
 import scene_attack as sa
+from scene_attack.extras import MissingExtra
 from scene_attack.runs import campaign_run
 from scene_attack.targets.info import TARGETS
 
@@ -68,5 +69,7 @@ def test_one_that_cannot_run_is_refused_by_its_field(tmp_path: Path) -> None:
 def test_without_pandas_a_frame_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run = sa.campaign(study("first"), tmp_path, targets=[network("first", 0)])
     monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(ImportError, match=r"pip install 'scene-attack\[pandas\]'"):
+    with pytest.raises(
+        MissingExtra, match=r'a DataFrame needs the extra "pandas": pip install "scene-attack\[pandas\]"'
+    ):
         run.to_frame()

@@ -15,7 +15,7 @@ from scene_attack.errors import InvalidRequest
 from scene_attack.rendering.protocol import Parameters
 from scene_attack.runs.result import Asked, FirstAnswer, QuestionResult, warnings
 from scene_attack.runs.spec import MAX_LABELS, AskedGoal, Goal, JobSpec, with_same
-from scene_attack.runs.task import Settled, register_task
+from scene_attack.runs.task import Settled
 from scene_attack.targets import registry
 from scene_attack.targets.info import TargetInfo
 from scene_attack.targets.labels import truth_labels
@@ -62,7 +62,6 @@ class Classification:
         return judge(settled.truth, first, last, bool(settled.goal.fooled(after.logits))), []
 
 
-@register_task("classification")
 def classification(spec: JobSpec, network: Target, asked: AskedGoal) -> Classification:
     """Raises InvalidRequest for a question, and for a kind of answers to leave."""
     choice = spec.target

@@ -45,7 +45,7 @@ def test_files_that_are_named_exist(page: Path) -> None:
 
 def test_operations_has_every_setting_and_its_default() -> None:
     for name, field in Settings.model_fields.items():
-        default = "–" if field.default is None else f"`{field.default}`"
+        default = "–" if field.default in (None, ()) else f"`{field.default}`"
         line = f"| `SCENE_ATTACK_{name.upper()}` | {default} | {field.description} |"
         assert text("operations.md").count(line) == 1, name
 
