@@ -102,7 +102,7 @@ class Task(Protocol):
 MakeTask = Callable[["JobSpec", "Target", "AskedGoal"], Task]
 """Makes the task of a job, given the loaded network and the goal in its labels. Raises InvalidRequest, which names the
 field, for a request that asks what the network cannot answer."""
-TASKS: Registry[MakeTask] = Registry("task", [])
+TASKS: Registry[MakeTask] = Registry("task", ["scene_attack.runs.own_task"])
 
 
 def register_task(name: str) -> Callable[[MakeTask], MakeTask]:
@@ -113,10 +113,3 @@ def register_task(name: str) -> Callable[[MakeTask], MakeTask]:
         return make
 
     return decorate
-
-
-@register_task("classification")
-def _classification(spec: JobSpec, network: Target, asked: AskedGoal) -> Task:
-    from scene_attack.runs.classification import classification
-
-    return classification(spec, network, asked)
