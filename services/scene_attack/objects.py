@@ -147,7 +147,7 @@ class Result:
 
         chosen = _set_up(options)
         asked: Any = self.record.spec["target"]
-        made = None if target is None else _named(target, asked["name"])[1]
+        made = None if target is None else _named(target, chosen, asked["name"])[1]
 
         def work(_: Callable[[], bool]) -> Replay:
             with _known(made), TemporaryDirectory() as folder:
@@ -216,8 +216,7 @@ def target(
     target is returned as it is. `options` default to those of the SCENE_ATTACK_ variables. Raises InvalidRequest, which
     names the argument.
     """
-    chosen = _set_up(options)
-    return _target(network, name, labels, preprocessing, output, chosen)
+    return _target(network, _set_up(options), name, labels, preprocessing, output)
 
 
 def attack(
@@ -259,13 +258,14 @@ def attack(
     given = {"scene": None if drawn else scene, "attack": attack, "goal": goal}
     stated = {name: as_data(name, one) for name, one in given.items() if one is not None}
     fields = {"seed": seed} | drawn | others | stated
-    if drawn and stated.get("attack", {}).get("renderer", drawn["attack"]["renderer"]) == drawn["attack"]["renderer"]:
-        fields["attack"] = drawn["attack"] | stated.get("attack", {})
+    asked = stated.get("attack", {})
+    if drawn and asked.get("renderer") in (None, drawn["attack"]["renderer"]):
+        fields["attack"] = drawn["attack"] | asked
     made = None
     if isinstance(target, Mapping):
         fields["target"] = dict(target)
     else:
-        name, made = _named(target)
+        name, made = _named(target, chosen)
         fields["target"] = {"name": name}
     network = None if made is None else _hashes(made)
 
@@ -331,8 +331,7 @@ def truth(scene: Scene | Mapping[str, Any], target: Network | str) -> tuple[str,
     from scene_attack.runs.spec import as_data
     from scene_attack.targets import registry
 
-    _set_up(None)
-    name, made = _named(target)
+    name, made = _named(target, _set_up(None))
     meshes = [thing["mesh"] for thing in as_data("scene", scene)["objects"]]
     labels = registry.labels(name) if made is None else tuple(made.labels)
     info = registry.card(name) if made is None else _info(made)
@@ -361,7 +360,7 @@ class CampaignRun:
     def to_frame(self) -> DataFrame:
         """A DataFrame with a line for each result: what was attacked, both answers, the outcome, p and the cost.
 
-        Raises ImportError, which says how to install pandas, where it is not.
+        Raises MissingExtra, which says how to install pandas, where it is not.
         """
         from scene_attack.client.client import pandas_module
         from scene_attack.runs.spec import attack_name, scene_name
@@ -411,7 +410,7 @@ def campaign(
     from scene_attack.runs.spec import as_data
 
     chosen = _set_up(options)
-    made = [_named(network)[1] for network in targets]
+    made = [_named(network, chosen)[1] for network in targets]
     data = as_data("campaign", campaign)
 
     def work(interrupted: Callable[[], bool]) -> CampaignRun:
@@ -453,22 +452,20 @@ def _spec(fields: dict[str, Any], options: Options) -> JobSpec:
 
 def _target(
     network: Any,
+    options: Options,
     name: str = MODULE,
     labels: Any = None,
     preprocessing: Any = None,
     output: str = "scores",
-    options: Options | None = None,
 ) -> Target:
     from torch import nn
 
-    from scene_attack.runs.environment import read_options
     from scene_attack.targets.custom.loading import is_maite, scores_of, target_of
 
     if output not in ("scores", "probabilities"):
         raise InvalidRequest("output", f'must be "scores" or "probabilities", not {output!r:.80}')
     if isinstance(network, str) and "://" in network:
-        allowed = read_options() if options is None else options
-        return _endpoint(network, name, labels, _preprocessing(preprocessing), output, allowed)
+        return _endpoint(network, name, labels, _preprocessing(preprocessing), output, options)
     of_its_own = isinstance(network, str | Path) or (not isinstance(network, nn.Module) and hasattr(network, "logits"))
     if of_its_own:
         given = {"labels": labels, "preprocessing": preprocessing, "output": None if output == "scores" else output}
@@ -476,7 +473,7 @@ def _target(
             if value is not None:
                 raise InvalidRequest(field, "the target says so itself; leave this out")
         if isinstance(network, str | Path):
-            return _stored(network, name, read_options() if options is None else options)
+            return _stored(network, name, options)
         missing = [part for part in _PARTS if not hasattr(network, part)]
         if missing:
             raise InvalidRequest("target", f"it has `logits` and so is a target, but no {' and no '.join(missing)}")
@@ -545,14 +542,14 @@ def _endpoint(url: str, name: str, labels: Any, preprocessing: Preprocessing, ou
         raise InvalidRequest("target", error.detail) from error
 
 
-def _named(network: Any, name: str = MODULE) -> tuple[str, Target | None]:
+def _named(network: Any, options: Options, name: str = MODULE) -> tuple[str, Target | None]:
     """A network's name, and its target unless this name is known already."""
     from scene_attack.targets.info import TARGETS
     from scene_attack.targets.registry import load
 
     if isinstance(network, str) and not set(network) & {"/", "\\"}:
         return network, None
-    made = _target(network, name)
+    made = _target(network, options, name)
     listed = made.name in TARGETS and load(made.name) is made
     return made.name, None if listed else made
 

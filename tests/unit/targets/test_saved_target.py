@@ -1,5 +1,6 @@
 """A network of the process that is saved as a folder, and loaded by its name in a process of its own."""
 
+import json
 import os
 import subprocess
 import sys
@@ -62,3 +63,26 @@ def test_what_cannot_be_saved_is_refused(tmp_path: Path) -> None:
             target.save(tmp_path / name)  # type: ignore[attr-defined]
         assert refused.value.field == field
     assert not (tmp_path / "mine").exists()
+
+
+def test_options_that_are_passed_decide_what_a_folder_may_name(tmp_path: Path) -> None:
+    """Not those of the environment, which name nothing."""
+    (tmp_path / "mine").mkdir()
+    card = {"labels": ["a", "b"], "preprocessing": {"input_size": [8, 8]}, "factory": "own_factory:network"}
+    (tmp_path / "mine" / "card.json").write_text(json.dumps(card))
+    (tmp_path / "own_factory.py").write_text(
+        "import torch\n\n\ndef network():\n    torch.manual_seed(0)\n"
+        "    return torch.nn.Sequential(torch.nn.Flatten(), torch.nn.Linear(192, 2))\n"
+    )
+    code = (
+        "from pathlib import Path\nimport scene_attack as sa\n"
+        "scene = sa.Scene(camera=sa.Camera(size=(16, 16)), objects=[sa.Object(mesh='primitive/cube')])\n"
+        "options = sa.Options(target_factories='own_factory:network')\n"
+        "search = {'renderer': 'image', 'base_renderer': 'pyrender', 'method': 'square', 'steps': 2}\n"
+        "print(sa.attack(scene, Path('mine'), search, options=options).record.spec['target']['name'])\n"
+    )
+    environ = os.environ | {"PYTHONPATH": str(tmp_path)}
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, env=environ, capture_output=True, text=True, check=False
+    )
+    assert done.stdout == "mine\n", done.stderr
