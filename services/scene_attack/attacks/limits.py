@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from scene_attack.errors import InvalidRequest
+from scene_attack.rendering.plan import Plan
 from scene_attack.rendering.protocol import BOUND_SLACK, Parameters, Renderer
 
 MAX_TRIES = 8
@@ -99,6 +100,10 @@ class Constraint(Protocol):
 
     def project(self, perturbation: Parameters) -> Parameters:
         """Returns a perturbation that is allowed: itself if it is, else one that is smaller."""
+        ...
+
+    def in_plan(self, plan: Plan) -> Plan:
+        """Returns the plan with what the search leaves out."""
         ...
 
 

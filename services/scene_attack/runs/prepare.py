@@ -16,7 +16,7 @@ from torch import Tensor
 from scene_attack.analysis.subsets import ScoredImage
 from scene_attack.attacks.attack import ATTACKS, Attack
 from scene_attack.attacks.goal import ResolvedGoal, check_loss
-from scene_attack.attacks.limits import Limits
+from scene_attack.attacks.limits import Constraint, Limits
 from scene_attack.attacks.problem import Surrogate
 from scene_attack.attacks.request import VIEWS, Expectation
 from scene_attack.attacks.run import Verifier
@@ -33,7 +33,7 @@ from scene_attack.runs import classification
 from scene_attack.runs.described import can_carry
 from scene_attack.runs.result import JobPlan
 from scene_attack.runs.spec import AskedGoal, JobSpec, asked_goal
-from scene_attack.runs.task import TASKS, Settled, Task, TaskConstraint
+from scene_attack.runs.task import TASKS, Settled, Task
 from scene_attack.scenes.description import Environment
 from scene_attack.scenes.library import Library
 from scene_attack.scenes.resolve import ResolvedScene, resolve
@@ -65,7 +65,7 @@ class Prepared:
     """The goal, the right labels, and the warnings."""
     limits: Limits
     """The limits of the search."""
-    constraint: TaskConstraint | None
+    constraint: Constraint | None
     """Those of them that keep the truth as it is."""
 
     def plan(self) -> Plan:
@@ -164,7 +164,7 @@ def _prepare(spec: JobSpec, library: Library, tolerance: Tolerance) -> Prepared:
     )
 
 
-def _limits(attack: Attack, renderer: Renderer, constraint: TaskConstraint | None) -> Limits:
+def _limits(attack: Attack, renderer: Renderer, constraint: Constraint | None) -> Limits:
     limit = None if attack.truncation is None else attack.truncation / 255
     backtracks = attack.constraint == "backtrack"
     return Limits.of(

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Protocol
 from scene_attack.plugins import Registry
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
     from pathlib import Path
 
     from torch import Tensor
@@ -21,7 +20,7 @@ if TYPE_CHECKING:
     from scene_attack.analysis.subsets import ScoredImage
     from scene_attack.analysis.verdict import Verdict
     from scene_attack.attacks.goal import ResolvedGoal
-    from scene_attack.rendering.plan import Plan
+    from scene_attack.attacks.limits import Constraint
     from scene_attack.rendering.protocol import Parameters
     from scene_attack.runs.result import Asked, FirstAnswer, JobWarning, QuestionResult
     from scene_attack.runs.spec import AskedGoal, Goal, JobSpec
@@ -40,27 +39,6 @@ class Settled:
     warnings: tuple[JobWarning, ...]
 
 
-class TaskConstraint(Protocol):
-    """Limits of the search that keep the truth what it is; an `attacks.limits.Constraint` that a plan can state."""
-
-    @property
-    def fixed(self) -> Mapping[str, Tensor]:
-        """Which coordinates stay as they are, bool of the shape of each attacked group."""
-        ...
-
-    def holds(self, perturbation: Parameters) -> bool:
-        """Whether a perturbation is allowed."""
-        ...
-
-    def project(self, perturbation: Parameters) -> Parameters:
-        """Returns a perturbation that is allowed: itself if it is, else one that is smaller."""
-        ...
-
-    def in_plan(self, plan: Plan) -> Plan:
-        """Returns the plan with what the search leaves out."""
-        ...
-
-
 class Task(Protocol):
     """The task of one job."""
 
@@ -76,7 +54,7 @@ class Task(Protocol):
         """
         ...
 
-    def constraint(self, renderer: str, initial: Parameters) -> TaskConstraint | None:
+    def constraint(self, renderer: str, initial: Parameters) -> Constraint | None:
         """The limits of the search beside those of the request; `initial` are the attacked groups' values."""
         ...
 
