@@ -106,6 +106,11 @@ class Plugin:
     error: str | None = None
     """The error because of which it was left out; None if it was loaded."""
 
+    @property
+    def registered(self) -> list[str]:
+        """What it adds in words, such as "renderer tint", in alphabetical order."""
+        return sorted(f"{kind} {name}" for kind, name in self.adds)
+
 
 _loaded: list[Plugin] = []
 
@@ -119,13 +124,13 @@ def load(registries: Sequence[Registry[Any]], without: Collection[str] = ()) -> 
     """Imports the modules of all plug-ins, in the order of their names, but of those in `without`.
 
     If one fails, its registrations are undone, so that it is loaded completely or not at all. Raises
-    InvalidRequest("without_plugins") for one to be left out that there is not.
+    InvalidRequest("SCENE_ATTACK_WITHOUT_PLUGINS") for one to be left out that there is not.
     """
     found = sorted(entry_points(group=GROUP), key=lambda entry: (entry.name, _package(entry)))
     for name in sorted(without):
         if name not in (entry.name for entry in found):
             known = there_are(name, {entry.name: entry for entry in found})
-            raise InvalidRequest("without_plugins", f"there is no plug-in {name!r}; {known}")
+            raise InvalidRequest("SCENE_ATTACK_WITHOUT_PLUGINS", f"there is no plug-in {name!r}; {known}")
     plugins: list[Plugin] = []
     for entry in found:
         if entry.name not in without:

@@ -32,7 +32,7 @@ from scene_attack.client.operations import Answer, JobFilter, Request, Submissio
 from scene_attack.client.states import State
 from scene_attack.errors import InvalidRequest
 from scene_attack.extras import extra
-from scene_attack.runs.spec import NOT_SENT, RerenderingView, as_data
+from scene_attack.runs.spec import NOT_SENT, RerenderingView, as_data, is_network
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -552,7 +552,7 @@ def _portable(spec: JobSpec | Mapping[str, Any]) -> dict[str, Any]:
     """A request as data. Raises InvalidRequest for a part that only this process has."""
     data = as_data("spec", spec)
     for field, part in data.items():
-        if hasattr(part, "logits") or callable(part):
+        if is_network(part):
             raise InvalidRequest(field, NOT_SENT)
         if hasattr(part, "render"):
             detail = "a renderer of this process cannot be sent: send its scene, and name it as the attack's `renderer`"

@@ -131,7 +131,7 @@ def bundle_at(path: Path, limits: Options) -> Bundle:
 
 def _to_service(call: Call, say: Callable[[str], None]) -> Adding:
     """Returns a function that uploads a mesh, unless the service has it."""
-    from scene_attack.client import operations, schemas
+    from scene_attack.client import operations
     from scene_attack.client.errors import ApiError
 
     def add(mesh: Path | MeshArrays) -> tuple[str, Sequence[str]]:
@@ -147,8 +147,7 @@ def _to_service(call: Call, say: Callable[[str], None]) -> Adding:
     def upload(mesh: Path | MeshArrays) -> Uploaded:
         try:
             if isinstance(mesh, MeshArrays):
-                files = [("mesh.ply", mesh.bundle.data)]
-                uploaded: Uploaded = call(operations.Request("POST", "/v1/assets", schemas.Uploaded, files=files))
+                uploaded: Uploaded = call(operations.upload_asset([("mesh.ply", mesh.bundle.data)]))
                 return uploaded
             entry: Uploaded = call(operations.upload_asset([mesh], name=title_of(mesh)))
         except ApiError as error:

@@ -303,7 +303,7 @@ download_thumbnail = _of_asset("GET", "/thumbnail", bytes)
 
 
 def upload_asset(
-    files: Sequence[Path],
+    files: Sequence[Path | tuple[str, bytes]],
     kind: str | None = None,
     *,
     mesh: str | None = None,
@@ -315,13 +315,15 @@ def upload_asset(
     """Uploads a mesh with the files beside it that it names, a zip file of them, or an environment map.
 
     `kind` is the format, by default the file's ending; `mesh` names the mesh among several files. A file that is given
-    alone is the mesh. Raises InvalidRequest if there is no such file.
+    alone is the mesh. In a path's place may be a name and bytes. Raises InvalidRequest if there is no such file.
     """
     from scene_attack.client.mesh_files import with_files_beside
 
-    sent = [(sent, path.read_bytes()) for sent, path in with_files_beside(files)]
-    if mesh is None and len(files) == 1 < len(sent):
-        mesh = files[0].name
+    paths = [file for file in files if isinstance(file, Path)]
+    sent = [(sent, path.read_bytes()) for sent, path in (with_files_beside(paths) if paths else ())]
+    if mesh is None and len(paths) == 1 < len(sent):
+        mesh = paths[0].name
+    sent += [file for file in files if not isinstance(file, Path)]
     form = {"kind": kind, "mesh": mesh, "name": name, "up": up, "licence": licence, "credit": credit}
     return Request("POST", "/v1/assets", Uploaded, files=sent, form=form, seconds=CHECK_SECONDS)
 

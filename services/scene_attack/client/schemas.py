@@ -239,9 +239,12 @@ class PluginView(BaseModel):
     @classmethod
     def of(cls, plugin: "Plugin") -> Self:
         """The view of a plug-in."""
-        adds = sorted(f"{kind} {name}" for kind, name in plugin.adds)
         return cls(
-            name=plugin.name, package=plugin.package, sha256=plugin.sha256, adds=adds, error=_shown(plugin.error)
+            name=plugin.name,
+            package=plugin.package,
+            sha256=plugin.sha256,
+            adds=plugin.registered,
+            error=_shown(plugin.error),
         )
 
 

@@ -74,10 +74,7 @@ def set_up(options: Options) -> None:
     global _loaded
     use(options)
     if _loaded is None:
-        try:
-            load((ATTACKS, RENDERERS, TARGETS, ARCHITECTURES, TASKS), options.without_plugins)
-        except InvalidRequest as error:
-            raise InvalidRequest(f"SCENE_ATTACK_{error.field.upper()}", error.detail) from error
+        load((ATTACKS, RENDERERS, TARGETS, ARCHITECTURES, TASKS), options.without_plugins)
         _loaded = _Loaded(options, register_folders(options.target_folder, AllowList.of(options)))
     for name in LOADED_ONCE:
         if getattr(options, name) != getattr(_loaded.options, name):
@@ -94,8 +91,8 @@ def log_plugins() -> None:
     """Logs a line for each plug-in and for each network's folder: what it adds, or why it was left out."""
     for plugin in loaded_plugins():
         if plugin.error is None:
-            adds = sorted(f"{kind} {name}" for kind, name in plugin.adds)
-            log.info("plug-in loaded", plugin=plugin.name, package=plugin.package, sha256=plugin.sha256, adds=adds)
+            about = {"package": plugin.package, "sha256": plugin.sha256, "adds": plugin.registered}
+            log.info("plug-in loaded", plugin=plugin.name, **about)
         else:
             log.warning("plug-in left out", plugin=plugin.name, package=plugin.package, error=plugin.error)
     for folder in target_folders():

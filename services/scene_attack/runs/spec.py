@@ -343,7 +343,7 @@ class JobSpec(Model):
     @field_validator("target", mode="before")
     @classmethod
     def _named(cls, value: Any) -> Any:
-        if hasattr(value, "logits") or callable(value):
+        if is_network(value):
             raise ValueError(NOT_SENT)
         return value
 
@@ -459,6 +459,11 @@ NOT_SENT = (
     "give the folder's name"
 )
 """The sentence about a network where its name is due."""
+
+
+def is_network(given: object) -> bool:
+    """Whether a part of a request is a network of this process: a target, a module or a function."""
+    return hasattr(given, "logits") or callable(given)
 
 
 def as_data(field: str, given: object) -> dict[str, Any]:
