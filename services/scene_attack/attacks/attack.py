@@ -1,8 +1,8 @@
 """The base class of all attacks, and their registry. This module does not import torch.
 
 An attack is one file with one class, which derives from `Attack` and is registered by `@register`; ours are listed at
-`ATTACKS`. The request's union
-of attacks, the paths of errors, openapi.yaml and docs/reference/fields.md follow from the registry.
+`ATTACKS`. The request's union of attacks, the paths of errors, openapi.yaml and docs/reference/fields.md follow from
+the registry.
 """
 
 import operator

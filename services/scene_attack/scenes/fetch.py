@@ -35,10 +35,12 @@ def fetch(cache: Path, given: Iterable[Path], report: Report) -> list[str]:
     cache.mkdir(parents=True, exist_ok=True)
     with _alone(cache / ".setup.lock"):
         before = missing(cache)
-        if before and (sources := list(given)):
-            _take(_files_in(sources), cache, report)
-        elif before:
-            _download(cache, report)
+        if not before:
+            return []
+        if sources := list(given):
+            _take(_files_in(sources), cache, before, report)
+        else:
+            _download(cache, before, report)
         if left := missing(cache):
             raise InvalidRequest(
                 "--from",
@@ -66,20 +68,20 @@ def _digest(path: Path) -> str | None:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def _download(cache: Path, report: Report) -> None:
+def _download(cache: Path, absent: list[str], report: Report) -> None:
     if shutil.which("apt-get") is None:
         raise InvalidRequest(
             "--from",
             f"there is no apt-get here; give the files of Debian 12's packages {' and '.join(PACKAGES.values())}, "
             "which packages.debian.org has, as in --from blender-data_….deb",
         )
-    folders = {name.partition("/")[0] for name in missing(cache)}
+    folders = {name.partition("/")[0] for name in absent}
     with TemporaryDirectory(prefix="incoming.", dir=cache) as folder:
         for part in sorted(folders):
             package = Path(folder) / PACKAGES[part]
             package.mkdir()
             _apt_download(package, report)
-            _take(_files_in([package]), cache, report)
+            _take(_files_in([package]), cache, absent, report)
 
 
 def _apt_download(folder: Path, report: Report) -> None:
@@ -154,9 +156,8 @@ def _data_of(package: bytes) -> bytes:
     raise ValueError("it has no data.tar")
 
 
-def _take(files: Iterable[tuple[str, Callable[[], bytes]]], cache: Path, report: Report) -> None:
-    """Puts those of the files that are missing into their places."""
-    absent = missing(cache)
+def _take(files: Iterable[tuple[str, Callable[[], bytes]]], cache: Path, absent: list[str], report: Report) -> None:
+    """Puts those of the files whose names are in `absent` into their places."""
     wanted = {digest: name for digest, name in _expected().items() if name in absent}
     names = {Path(name).name for name in wanted.values()}
     said = time.monotonic()
