@@ -25,10 +25,11 @@ def figure(directory: Path) -> Image.Image:
         ("perturbation.png", "the difference, 5 times", perceptibility),
     ]
     rows, columns = result.spec["scene"]["camera"]["size"]
-    side, top = SIDE * rows // columns, HEADING * len(result.questions)
+    questions = result.tasks["questions"].questions if result.tasks else []
+    side, top = SIDE * rows // columns, HEADING * len(questions)
     sheet = Image.new("RGB", (3 * SIDE + 2 * GAP, top + side + CAPTION), PAPER)
     draw = ImageDraw.Draw(sheet)
-    for index, question in enumerate(result.questions):
+    for index, question in enumerate(questions):
         draw.text((0, HEADING * index), question.question or "", INK, ImageFont.load_default(19))
     for index, (name, title, note) in enumerate(panels):
         left = index * (SIDE + GAP)

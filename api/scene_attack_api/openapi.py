@@ -9,6 +9,7 @@ from typing import Any
 
 import yaml
 
+from scene_attack.runs.set_up import set_up
 from scene_attack_api.main import create_app
 from scene_attack_service.settings import DEFAULTS
 
@@ -58,4 +59,5 @@ def _schema() -> dict[str, Any]:
 
 
 if __name__ == "__main__":
+    set_up(DEFAULTS)  # loads the plug-ins, whose fields are served
     sys.stdout.write(page() if sys.argv[1:] == ["page"] else document())

@@ -13,7 +13,7 @@ from scene_attack_service.jobs.models import Campaign, CampaignJob, Job
 
 _OF_THE_RECORD = (
     *("id", "state", "attempt", "priority", "kind", "seed", "title", "retry_of", "checked", "warnings"),
-    *("name", "scene", "attack", "renderer", "method", "target", "question"),
+    *("name", "scene", "attack", "renderer", "method", "target", "asked"),
 )
 """The fields of a job that are as the record has them."""
 

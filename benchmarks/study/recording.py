@@ -23,14 +23,17 @@ from scene_attack.analysis.campaign_table import CURVES, MeanCurves
 from scene_attack.runs.campaign_plan import CampaignResult, FirstAnswer, PlannedJob, View, case_of, plan, views
 from scene_attack.runs.campaign_spec import CampaignSpec
 from scene_attack.runs.described import can_carry, described
-from scene_attack.runs.result import ATTENTION, PERTURBATION, QuestionResult, Result
+from scene_attack.runs.result import PERTURBATION, Result
 from scene_attack.runs.spec import JobSpec
+from scene_attack.runs.task_parts import Member
 from scene_attack_questions.clevr.description import record_after
 from scene_attack_questions.clevr.records import SceneRecord
 from scene_attack_questions.executor import kind_asked
 from scene_attack_questions.families import FAMILIES
-from scene_attack_questions.generator import QuestionRecord
+from scene_attack_questions.grid import QuestionMember
 from scene_attack_questions.program import Program
+from scene_attack_questions.records import ATTENTION, QuestionResult
+from scene_attack_questions.source import Clevr
 from training.iep.examples import ObjectTruth
 
 if TYPE_CHECKING:
@@ -74,7 +77,7 @@ def of_folder(folder: Path) -> Record:
         views=_views(all_views, answers, chosen),
         jobs=tuple(
             _job(job, request, result, answers[job.view]).model_copy(
-                update={"questions": asked(all_views[job.view].asked, result, folder / "jobs" / request)}
+                update={"questions": asked(all_views[job.view].member, result, folder / "jobs" / request)}
             )
             for job, request, result in zip(planned, requests, results, strict=True)
         ),
@@ -132,8 +135,8 @@ def _job(job: PlannedJob, request: str, result: Result | None, answer: FirstAnsw
 
 def _subject(spec: JobSpec) -> str:
     """The name of a scene after CLEVR, else the meshes of a scene."""
-    if spec.record is not None:
-        return spec.record.image_filename.removesuffix(".png")
+    if spec.scene.source is not None:
+        return _record(spec).image_filename.removesuffix(".png")
     return ", ".join(thing.mesh for thing in spec.scene.objects)
 
 
@@ -182,13 +185,13 @@ def _short(value: float | None, digits: int = 5) -> Any:
     return None if value is None else float(f"{value:.{digits}g}")
 
 
-def asked(questions: Sequence[QuestionRecord], result: Result | None, folder: Path) -> tuple[Asked, ...]:
+def asked(member: Member, result: Result | None, folder: Path) -> tuple[Asked, ...]:
     """Returns the records of a job's questions. `folder` has its files; `result` is None if it failed.
 
     Raises ValueError if the network had another program than that of a question.
     """
     rows = []
-    for number, question in enumerate(questions):
+    for number, question in enumerate(member.questions if isinstance(member, QuestionMember) else ()):
         program, family, right = question.program, question.question_family_index, question.answer
         if program is None or family is None or right is None:
             raise ValueError(f"{question.question!r} has no program, family or answer")
@@ -200,7 +203,7 @@ def asked(questions: Sequence[QuestionRecord], result: Result | None, folder: Pa
             right=right,
         )
         if result is not None:
-            about = _answered(about, program, result.questions[number])
+            about = _answered(about, program, result.tasks["questions"].questions[number])
             if about.fooled:
                 about = about.model_copy(update={"first": _first(number, program, result, folder)})
         rows.append(about)
@@ -225,24 +228,29 @@ def _answered(about: Asked, program: Program, came: QuestionResult) -> Asked:
 
 def _first(number: int, program: Program, result: Result, folder: Path) -> int:
     spec = JobSpec.model_validate(result.spec)
-    assert spec.record is not None
+    record = _record(spec)
     masks = load_file(folder / ATTENTION)
     nodes = [int(node) for question, node, when in (key.split(".") for key in masks) if question == str(number)]
     before, after = ({node: masks[f"{number}.{node}.{when}"] for node in nodes} for when in ("before", "after"))
-    return fooled_first(program, before, after, _cells(spec.record), _cells(_attacked(spec, folder)))
+    return fooled_first(program, before, after, _cells(record), _cells(_attacked(spec, folder)))
 
 
 def _cells(record: SceneRecord) -> list[int]:
     return [ObjectTruth.of(solid).cell for solid in record.objects]
 
 
+def _record(spec: JobSpec) -> SceneRecord:
+    assert isinstance(spec.scene.source, Clevr)
+    return spec.scene.source.stated()
+
+
 def _attacked(spec: JobSpec, folder: Path) -> SceneRecord:
-    assert spec.record is not None
+    record = _record(spec)
     moved = load_file(folder / PERTURBATION)
     if not can_carry(spec.attack.renderer, tuple(moved)):
-        return spec.record
+        return record
     scene, _, _ = described(spec.scene, spec.attack.renderer, moved)
-    return record_after(spec.record, scene)
+    return record_after(record, scene)
 
 
 def fooled_first(

@@ -11,24 +11,33 @@ from scene_attack.rendering.declaration import BuildRequest, Declaration, Declar
 from scene_attack.rendering.declaration import register as register_renderer
 from scene_attack.rendering.plan import Item, Plan
 from scene_attack.runs.task import register_task
+from scene_attack.runs.task_parts import Ask, Cases, Member, Part, ResultPart
+from scene_attack.scenes.source import Source, register_source
 from scene_attack.targets.architectures import register_architecture
 from scene_attack.targets.info import TargetInfo
 from scene_attack.targets.info import register as register_target
 
 __all__ = [
     "INTERFACE",
+    "Ask",
     "Attack",
     "BuildRequest",
+    "Cases",
     "Declaration",
     "DeclaredRenderer",
     "Group",
     "Item",
+    "Member",
+    "Part",
     "Plan",
+    "ResultPart",
+    "Source",
     "TargetInfo",
     "labelled",
     "register_architecture",
     "register_attack",
     "register_renderer",
+    "register_source",
     "register_target",
     "register_task",
 ]

@@ -15,7 +15,16 @@ import sys
 from collections.abc import Callable, Mapping, Sequence, Sized
 from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar
 
-from pydantic import AfterValidator, BaseModel, GetCoreSchemaHandler, ValidationInfo, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
+    TypeAdapter,
+    ValidationInfo,
+    model_validator,
+)
 from pydantic_core import (
     CoreSchema,
     InitErrorDetails,
@@ -110,6 +119,26 @@ class Strict(BaseModel):
     @classmethod
     def _few_fields(cls, data: Any) -> Any:
         return _few(data) if isinstance(data, dict) else data
+
+
+class Model(Strict):
+    """Base class of every part of a request: strict, frozen, without unknown fields."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+def absent(value: object) -> bool:
+    """Whether an optional field was not given, so that a description leaves it out, as before there was the field."""
+    return value is None
+
+
+def schema_of(models: Sequence[type[BaseModel]], handler: GetJsonSchemaHandler) -> dict[str, Any]:
+    """The JSON schema of a field that takes one of these models, which were registered after the field's class."""
+    if not models:
+        return {"type": "null"}
+    # of a tuple, so that each is referred to by its name
+    found: list[dict[str, Any]] = handler(TypeAdapter(tuple[*models]).core_schema)["prefixItems"]  # type: ignore[valid-type]
+    return found[0] if len(found) == 1 else {"anyOf": found}
 
 
 Item = TypeVar("Item")

@@ -23,21 +23,26 @@ from scene_attack.rendering.protocol import Parameters
 from scene_attack.rendering.pyrender.declaration import PYRENDER
 from scene_attack.runs.classification import Classification, seen
 from scene_attack.runs.described import can_carry, described
-from scene_attack.runs.result import ATTENTION, Asked, Attended, FirstAnswer, QuestionResult
-from scene_attack.runs.spec import AskedGoal, Call, Goal, JobSpec, asked_goal
+from scene_attack.runs.result import FirstAnswer
+from scene_attack.runs.spec import AskedGoal, Goal, JobSpec, asked_goal
 from scene_attack.runs.task import Settled, Task
 from scene_attack.scenes.description import Scene
 from scene_attack.targets import registry
 from scene_attack.targets.protocol import QuestionTarget, Target
+from scene_attack_questions.ask import Questions
 from scene_attack_questions.clevr.description import record_after
 from scene_attack_questions.clevr.records import SceneRecord
 from scene_attack_questions.executor import ANSWERS, KINDS, Facts, IllPosed, answer, kind_asked
+from scene_attack_questions.parts import QuestionsPlan, QuestionsResult
 from scene_attack_questions.program import InvalidProgram, Program, Type, program_in
+from scene_attack_questions.records import ATTENTION, Asked, Attended, QuestionResult
 from scene_attack_questions.scene_limits import SceneLimits
+from scene_attack_questions.source import Clevr
 from scene_attack_questions.target import ProgramTarget
 from scene_attack_questions.text import difference
 
-FIELD = "target.question"
+FIELD = "target.ask.question"
+KIND = "target.ask.leave_kind"
 SCALE = 16
 """Pixels of an attention image for each side of a cell."""
 TOGETHER_LABELS = ("an answer stays", "all answers have left")
@@ -79,18 +84,28 @@ def task_of(spec: JobSpec, network: Target, asked: AskedGoal) -> Task:
     """Returns the task of a request to a network that answers questions, given the goal in the network's labels.
 
     Raises InvalidRequest where there is no question, for several to a network that takes one, for a kind of answers to
-    leave where it is not known, and as `asked_questions` and `QuestionTask` do.
+    leave where it is not known, and as `check_analysis`, `asked_questions` and `QuestionTask` do.
     """
-    choice = spec.target
-    if choice.question is None and not choice.questions:
+    ask = spec.target.ask
+    if not isinstance(ask, Questions) or not ask.asked:
         raise InvalidRequest(FIELD, f"is required: {network.name} answers questions")
+    if ask.questions:
+        check_analysis(spec)
     if isinstance(network, ProgramTarget):
-        return QuestionTask(network, asked_questions(spec, network), spec)
-    if choice.questions:
+        return QuestionTask(network, asked_questions(spec, ask, network), spec, ask)
+    if ask.questions:
         raise InvalidRequest(f"{FIELD}s", f"{network.name} takes one question")
+    if ask.leave_kind:
+        raise InvalidRequest(KIND, "only a question whose program is known has a kind of answers; leave it out")
     assert isinstance(network, QuestionTarget)
-    assert choice.asked is not None
-    return seen(spec, network.asked(choice.asked), asked, choice.asked)
+    return seen(spec, network.asked(ask.texts[0]), asked, ask.texts[0])
+
+
+def check_analysis(spec: JobSpec) -> None:
+    """Raises InvalidRequest for an analysis that asks one question, where there are several."""
+    for name in ("transfer", "interpretation", "rerendering", "adaptive"):
+        if getattr(spec.analysis, name) is not None:
+            raise InvalidRequest(f"analysis.{name}", "it asks one question, and there are several; leave it out")
 
 
 class QuestionTask:
@@ -101,17 +116,21 @@ class QuestionTask:
 
     target: Target
 
-    def __init__(self, network: ProgramTarget, questions: Sequence[AskedQuestion], spec: JobSpec) -> None:
+    def __init__(
+        self, network: ProgramTarget, questions: Sequence[AskedQuestion], spec: JobSpec, ask: Questions
+    ) -> None:
         """Raises InvalidRequest as `goal_of` and `goals_together` do."""
         self._network, self._questions, self._goal = network, tuple(questions), spec.goal
         self._texts = [question.asked for question in questions]
         self._alone: Classification | None = None
         self._goals: tuple[ResolvedGoal, ...] = ()
-        if spec.target.questions:
-            self._goals = goals_together(spec.goal, questions)
+        if ask.questions:
+            self._goals = goals_together(spec.goal, questions, ask.leave_kind)
             self.target = Together(network, self._texts, self._goals)
         else:
-            goal = asked_goal(goal_of(spec.goal, questions[0]), registry.card(network.name), network.labels)
+            goal = asked_goal(
+                goal_of(spec.goal, questions[0], ask.leave_kind), registry.card(network.name), network.labels
+            )
             self.target = network.asked(self._texts[0])
             self._alone = Classification(self.target, goal, (), None)
 
@@ -119,8 +138,8 @@ class QuestionTask:
     def settle(self, original: Tensor, logits: Tensor) -> Settled:
         """As a classification is settled for one question.
 
-        Raises InvalidRequest ("target.questions.1") for one of several that the network gets wrong, as there is nothing
-        to attack.
+        Raises InvalidRequest ("target.ask.questions.1") for one of several that the network gets wrong, as there is
+        nothing to attack.
         """
         if self._alone is not None:
             return self._alone.settle(original, logits)
@@ -140,23 +159,23 @@ class QuestionTask:
         programs, first = [question.program for question in self._questions], self._questions[0]
         return SceneLimits(programs, first.record, first.scene, renderer, initial)
 
-    def stated(self) -> tuple[Asked, ...]:
+    def plan(self) -> QuestionsPlan:
         """The questions with their programs and right answers."""
-        return tuple(question.stated() for question in self._questions)
+        return QuestionsPlan(questions=tuple(question.stated() for question in self._questions))
 
     @torch.no_grad()
     def first_answers(self, original: Tensor, logits: Tensor, goal: ResolvedGoal) -> tuple[FirstAnswer, ...]:  # noqa: ARG002 - the protocol's
         """The answer to each question."""
         scores = self._scores(original)
         return tuple(
-            FirstAnswer(question=question.words or question.asked, answer=answer_to(scores[number], ANSWERS, own))
+            FirstAnswer(asked=question.words or question.asked, answer=answer_to(scores[number], ANSWERS, own))
             for number, (question, own) in enumerate(zip(self._questions, self._goals or (goal,), strict=True))
         )
 
     @torch.no_grad()
     def judge(
         self, settled: Settled, renderer: str, stored: Parameters, before: ScoredImage, after: ScoredImage, out: Path
-    ) -> tuple[Verdict, list[QuestionResult]]:
+    ) -> tuple[Verdict, QuestionsResult]:
         """Each question by its right answers before and after; writes the files of attention into `out`."""
         # One image at a time, as in the verdict: no other image changes bits.
         ends = [from_bytes(image)[None] for image in (before.saved, after.saved)]
@@ -185,30 +204,29 @@ class QuestionTask:
                 )
             )
         save_file(masks, out / ATTENTION)
-        return outcome_of(results), results
+        return outcome_of(results), QuestionsResult(questions=results)
 
     def _scores(self, image: Tensor) -> Tensor:
         """The scores [Q, 28] of all questions to an image, uint8 [H, W, 3]."""
         return self._network.answers(from_bytes(image)[None], self._texts)[0]
 
 
-def asked_questions(spec: JobSpec, network: ProgramTarget) -> tuple[AskedQuestion, ...]:
+def asked_questions(spec: JobSpec, ask: Questions, network: ProgramTarget) -> tuple[AskedQuestion, ...]:
     """Returns the questions of a job.
 
     Raises InvalidRequest for a question outside the language, an invalid program, and an ill-posed question
-    ("target.question"), and for a scene that has no record ("record").
+    ("target.ask.question"), and for a scene that has no record ("scene.source").
     """
-    choice = spec.target
-    entries: list[tuple[str, str | tuple[Call, ...], str]] = []
-    if choice.question is not None and choice.asked is not None:
-        entries.append((FIELD, choice.question, choice.asked))
-    for number, (question, asked) in enumerate(zip(choice.questions, choice.together, strict=True)):
-        entries.append((f"{FIELD}s.{number}", question, asked))
+    fields = [f"{FIELD}s.{number}" for number in range(len(ask.questions))] or [FIELD]
+    entries = list(zip(fields, ask.asked, ask.texts, strict=True))
     programs = [_program(network, asked, field) for field, _, asked in entries]
-    if spec.record is None:
+    source = spec.scene.source
+    if not isinstance(source, Clevr):
+        example = '{"format": "clevr", "generate": {}}'
         raise InvalidRequest(
-            "record", f"{network.name} is asked about scenes after CLEVR; give the scene as `record` or `generate`"
+            "scene.source", f"is required: {network.name} is asked about scenes after CLEVR; make one by {example}"
         )
+    record = source.stated()
     return tuple(
         AskedQuestion(
             field=field,
@@ -216,15 +234,15 @@ def asked_questions(spec: JobSpec, network: ProgramTarget) -> tuple[AskedQuestio
             asked=asked,
             program=program,
             kind=kind_asked(program),
-            right=_right(program, spec.record, field, question),
-            record=spec.record,
+            right=_right(program, record, field, question),
+            record=record,
             scene=spec.scene,
         )
         for (field, question, asked), program in zip(entries, programs, strict=True)
     )
 
 
-def goal_of(goal: Goal, question: AskedQuestion) -> Goal:
+def goal_of(goal: Goal, question: AskedQuestion, leave_kind: bool) -> Goal:
     """Returns the goal of a request with the truth of its question, and the labels of the kind if these are to be left.
 
     Raises InvalidRequest for a truth that is not the question's, and for a label to leave beside a kind.
@@ -234,7 +252,7 @@ def goal_of(goal: Goal, question: AskedQuestion) -> Goal:
             "goal.truth", f"the right answer is {question.right!r}, by the scene's record; leave it out"
         )
     goal = goal.model_copy(update={"truth": question.right})
-    if not goal.leave_kind:
+    if not leave_kind:
         return goal
     if goal.leave is not None and _names(goal.leave) != set(KINDS[question.kind]):
         raise InvalidRequest("goal.leave", f"all answers of the kind {question.kind} are to be left; leave it out")
@@ -299,7 +317,7 @@ class Together:
         return torch.stack([hardest / 2, -hardest / 2], dim=1)
 
 
-def goals_together(goal: Goal, questions: Sequence[AskedQuestion]) -> tuple[ResolvedGoal, ...]:
+def goals_together(goal: Goal, questions: Sequence[AskedQuestion], leave_kind: bool) -> tuple[ResolvedGoal, ...]:
     """Returns the goal of each question: to leave its right answer, or the kind of answers.
 
     Raises InvalidRequest for a goal that names labels, which would be those of one question.
@@ -309,7 +327,7 @@ def goals_together(goal: Goal, questions: Sequence[AskedQuestion]) -> tuple[Reso
             raise InvalidRequest(f"goal.{name}", "several questions have answers of their own; leave it out")
     return tuple(
         ResolvedGoal(
-            tuple(ANSWERS.index(label) for label in (KINDS[question.kind] if goal.leave_kind else (question.right,))),
+            tuple(ANSWERS.index(label) for label in (KINDS[question.kind] if leave_kind else (question.right,))),
             None,
             goal.least_confidence,
         )

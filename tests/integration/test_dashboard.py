@@ -13,17 +13,19 @@ from tests.integration.specs import ENDLESS, QUICK
 pytestmark = pytest.mark.integration
 
 ASKED: dict[str, Any] = {
-    "generate": {"seed": 8, "index": 2, "objects": 4},
+    "scene": {"source": {"format": "clevr", "generate": {"seed": 8, "index": 2, "objects": 4}}},
     "target": {
         "name": "iep",
-        "question": [
-            {"function": "scene"},
-            {"function": "filter_color", "inputs": [0], "value_inputs": ["red"]},
-            {"function": "scene"},
-            {"function": "filter_material", "inputs": [2], "value_inputs": ["metal"]},
-            {"function": "union", "inputs": [1, 3]},
-            {"function": "count", "inputs": [4]},
-        ],
+        "ask": {
+            "question": [
+                {"function": "scene"},
+                {"function": "filter_color", "inputs": [0], "value_inputs": ["red"]},
+                {"function": "scene"},
+                {"function": "filter_material", "inputs": [2], "value_inputs": ["metal"]},
+                {"function": "union", "inputs": [1, 3]},
+                {"function": "count", "inputs": [4]},
+            ]
+        },
     },
     "attack": {"renderer": "image", "base_renderer": "pyrender", "steps": 2},
 }

@@ -61,7 +61,7 @@ def test_once_runs_every_job_shows_the_table_and_leaves_nothing_running(tmp_path
     rows = [line for line in table.splitlines() if re.search(r"\b(fooled|held)\b", line)]
     assert len(rows) == len(ATTACKS) + 1
     assert all("drill" in row for row in rows[:3])
-    assert rows[3].split("│")[1].strip() in QUESTION["target"]["question"]
+    assert rows[3].split("│")[1].strip() in QUESTION["target"]["ask"]["question"]
     for row, attack in zip(
         rows, ("image fgsm", "torch combined fgsm", "pyrender", "normals+illumination"), strict=True
     ):

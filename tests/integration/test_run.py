@@ -20,7 +20,7 @@ pytestmark = pytest.mark.integration
 EXAMPLES = {
     path.stem: path
     for path in sorted((Path(__file__).parents[2] / "examples").glob("*.json"))
-    if {"scene", "generate"} & json.loads(path.read_text()).keys()
+    if "scene" in json.loads(path.read_text())
 }
 """Requests of one job, not of a campaign."""
 SIZE = 64
@@ -53,7 +53,7 @@ def small(name: str) -> dict[str, Any]:
     """
     spec: dict[str, Any] = json.loads(EXAMPLES[name].read_text())
     spec["attack"]["steps"] = 2
-    if "scene" in spec:
+    if "ask" not in spec.get("target", {}):
         spec["scene"].setdefault("camera", {})["size"] = [SIZE, SIZE]
         spec["goal"].pop("leave")
     if spec["attack"].get("method") == "zoo":
@@ -69,7 +69,7 @@ def test_there_is_an_example_for_every_renderer_and_task() -> None:
     assert ("torch", TORCH.default_groups) in attacked
     assert any(spec.goal.reach is not None for spec in specs)
     assert {spec.attack.method for spec in specs} == {"fgsm", "zoo", "natural-gradient"}
-    asking = {spec.attack.renderer for spec in specs if spec.target.asked or spec.target.questions}
+    asking = {spec.attack.renderer for spec in specs if spec.target.ask is not None}
     assert asking == {"pyrender", "torch"}
 
 
@@ -84,7 +84,7 @@ def test_an_example_writes_its_files_and_another_process_finds_the_same_bits(nam
     subsets = [name for name in written if name.startswith("subset")]
     assert [name for name in written if name not in (*attention, *subsets, *drawn)] == FILES
     assert len(subsets) == max(0, 2 ** len(parse(spec).attack.groups) - 2)
-    assert bool(attention) == ("Questions about the image" in done.stdout) == ("generate" in spec)
+    assert bool(attention) == ("Questions about the image" in done.stdout) == ("source" in spec["scene"])
     if name not in TWICE:
         return
     other = process("run", "-", "--out", str(tmp_path / "two"), stdin=json.dumps(spec))

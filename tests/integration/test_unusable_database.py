@@ -51,7 +51,7 @@ UNUSABLE: dict[str, tuple[Callable[[Path], None], str]] = {
             f"its tables are of revision {revision}, which this version does not know; install the version of "
             "scene-attack that wrote them, or name another database",
         )
-        for kind, revision in (("newer", "9999"), ("older", "0018"))
+        for kind, revision in (("newer", "9999"), ("older", "0019"))
     },
 }
 

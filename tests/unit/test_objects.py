@@ -113,7 +113,7 @@ def test_anything_else_is_refused_by_the_name_of_its_argument(field: str, given:
 def test_objects_are_what_a_request_says() -> None:
     target = sa.target(network(), preprocessing=sa.Preprocessing(input_size=(8, 8)))
     scene = sa.Scene(camera=sa.Camera(size=(32, 32)), objects=[sa.Object(mesh="primitive/sphere")])
-    goal = sa.Goal(leave_kind=False)
+    goal = sa.Goal(least_confidence=0.0)
     whole = sa.attack(scene, target, sa.FGSM(renderer="image", steps=1), goal=goal, seed=3)
     asked = sa.attack(SCENE, target, {"renderer": "image", "method": "fgsm", "steps": 1}, seed=3)
     assert whole.record.spec == asked.record.spec
@@ -134,7 +134,7 @@ def test_a_mesh_may_be_a_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
 
 def test_a_network_that_has_a_name_is_attacked_by_it() -> None:
     result = sa.attack(SCENE, "efficientnet-lite0", sa.FGSM(renderer="image", steps=1), tolerance="exact")
-    assert result.record.spec["target"] == {"name": "efficientnet-lite0", "question": None}
+    assert result.record.spec["target"] == {"name": "efficientnet-lite0"}
     assert result.replay().reproduced
 
 

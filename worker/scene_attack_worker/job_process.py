@@ -26,6 +26,7 @@ from scene_attack.runs.campaign_run import first_answers
 from scene_attack.runs.execute import Progress, best_so_far, execute
 from scene_attack.runs.result import CHECKPOINT, JobWarning, outcome
 from scene_attack.runs.spec import RENDERING, SENT_IMAGE, JobSpec, RerenderingSpec, RerenderingView, digest, parse
+from scene_attack.runs.task_parts import Member
 from scene_attack.scenes.library import Library
 from scene_attack.targets.info import TARGETS
 from scene_attack_service.jobs.database import connect as connect_database
@@ -191,7 +192,8 @@ class Jobs:
 
     def _select(self, attempt: Attempt, job: Job, reporter: Reporter) -> None:
         """Finds the first answers to some views of a campaign."""
-        asked = [View(view["number"], None, 0, parse(view["probe"]), None) for view in job.spec["views"]]
+        probes = {view["number"]: parse(view["probe"]) for view in job.spec["views"]}
+        asked = [View(number, None, 0, Member(probe.scene), probe, None) for number, probe in probes.items()]
         answers = []
         for answer in first_answers(asked, self._library, reporter.stop):
             answers.append(finite(answer.model_dump(mode="json")))

@@ -9,14 +9,15 @@ from typing import Any
 
 from fastapi import Request, Response
 from fastapi.responses import HTMLResponse
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import ChoiceLoader, Environment, FunctionLoader, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
-from scene_attack.runs.result import CHANGED
 from scene_attack.runs.spec import group_words
+from scene_attack.runs.task_parts import TASKS
 from scene_attack.text import signed
 from scene_attack_api.dashboard import words
 from scene_attack_api.dashboard.charts import polar
+from scene_attack_api.dashboard.views import OF_TASKS
 from scene_attack_service.access.caller import Caller
 from scene_attack_service.jobs.models import CampaignState, State
 
@@ -71,8 +72,19 @@ def prose(text: str) -> Markup:
     )
 
 
+def _of_task(name: str) -> str | None:
+    """The template that a task brings, whose name is that of the task after `OF_TASKS`; None if there is none."""
+    place, _, task = name.partition("/")
+    part = TASKS[task].result if place == OF_TASKS and task in TASKS else None
+    return None if part is None or part.template is None else part.template.read_text("utf-8")
+
+
 _templates = Environment(
-    loader=PackageLoader(__package__), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    loader=ChoiceLoader([PackageLoader(__package__), FunctionLoader(_of_task)]),
+    autoescape=True,
+    undefined=StrictUndefined,
+    trim_blocks=True,
+    lstrip_blocks=True,
 )
 _templates.globals |= {
     "version": VERSION,
@@ -84,7 +96,7 @@ _templates.globals |= {
 }
 _templates.globals["areas"] = AREAS
 _templates.filters["prose"] = prose
-_templates.globals |= {"campaign_states": list(CampaignState), "changed": CHANGED, "polar": polar}
+_templates.globals |= {"campaign_states": list(CampaignState), "polar": polar}
 
 
 def part_of(request: Request, page: str) -> str:

@@ -1,193 +1,20 @@
 """The data that the pages show of a job, taken from the record.
 
-They are its trace, with and without a result, and the program of each question as a tree with what its functions attend
-to.
+They are its trace, with and without a result, and what its task adds, drawn by the task's own template.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from fnmatch import fnmatch
+from typing import Any, Self
 
 from scene_attack.analysis.verdict import judge
-from scene_attack.runs.result import CHECKPOINT, Attended, QuestionResult, first_changed, most_changed
-from scene_attack.runs.spec import group_words, question_names
+from scene_attack.runs.result import CHECKPOINT
+from scene_attack.runs.spec import group_words
+from scene_attack.runs.task_parts import ResultPart, parts_of
 from scene_attack_api.dashboard.charts import Chart, chart, upset
-from scene_attack_questions.clevr.records import SceneRecord
-from scene_attack_questions.executor import Facts, Value, execute
-from scene_attack_questions.program import TYPE_WORDS, Node, Program, Type
 from scene_attack_service.jobs.models import Artifact, Event, Job, State
 from scene_attack_service.jobs.record import Record
-
-_WORDS = {
-    "scene": "all objects",
-    "unique": "the only one",
-    "union": "those in either set",
-    "intersect": "those in both sets",
-    "count": "how many?",
-    "exist": "is there one?",
-    "equal_integer": "as many?",
-    "less_than": "fewer in the first?",
-    "greater_than": "more in the first?",
-}
-_RELATIONS = {"left": "left of it", "right": "right of it", "front": "in front of it", "behind": "behind it"}
-
-
-@dataclass(frozen=True)
-class Step:
-    """A function of a program.
-
-    words: what it does, "those that are red"; label: its name, "filter_color[red]"; gives: the type of its output in
-    words; right: its output by the scene's record, in words. shown_before: it is a step of an earlier chain too, and is
-    shown in whole there.
-    """
-
-    number: int
-    words: str
-    label: str
-    gives: str
-    right: str
-    attention: Attended | None
-    is_first: bool
-    is_most: bool
-    is_answer: bool
-    shown_before: bool
-
-
-@dataclass(frozen=True)
-class Chain:
-    """Functions each of which takes the output of the one before it. The first takes those of `inputs`, if any."""
-
-    inputs: tuple["Chain", ...]
-    steps: tuple[Step, ...]
-
-
-@dataclass(frozen=True)
-class Question:
-    """A question and its answers, with its program as a tree.
-
-    scale: the end of the scale of changes of attention, at least 1, one object. first and most: the steps whose
-    attention changed first, to another object, and most.
-    """
-
-    number: int
-    name: str
-    result: QuestionResult
-    asks_for: str
-    program: Chain
-    scale: float
-    first: Step | None
-    most: Step | None
-
-
-@dataclass(frozen=True)
-class SceneObject:
-    """An object of a scene after CLEVR: "small red rubber cube", and the Shapley values of its groups, log-odds."""
-
-    words: str
-    effects: dict[str, float]
-
-
-def questions(result: Mapping[str, Any] | None, spec: Mapping[str, Any], names: Sequence[str]) -> list[Question]:
-    """The questions of a result; none for a job that has no questions, or no result yet."""
-    if result is None or not result.get("questions") or spec.get("record") is None:
-        return []
-    facts = Facts.of(SceneRecord.model_validate(spec["record"]))
-    named = zip(result["questions"], names, strict=True)
-    return [_question(number, question, name, facts) for number, (question, name) in enumerate(named)]
-
-
-def objects(result: Mapping[str, Any] | None, spec: Mapping[str, Any]) -> list[SceneObject]:
-    """The objects of a scene after CLEVR, with the values of an analysis by object if there is one."""
-    if spec.get("record") is None:
-        return []
-    analysis = ((result or {}).get("analyses") or {}).get("coordinates")
-    values = {} if analysis is None else dict(zip(analysis["parts"], analysis["log_odds"]["shapley"], strict=True))
-    return [
-        SceneObject(
-            words=f"{thing['size']} {thing['color']} {thing['material']} {thing['shape']}",
-            effects={
-                group: values[f"object {number} {group}"]
-                for group in spec["attack"]["groups"]
-                if f"object {number} {group}" in values
-            },
-        )
-        for number, thing in enumerate(spec["record"]["objects"])
-    ]
-
-
-def _question(number: int, stored: Mapping[str, Any], name: str, facts: Facts) -> Question:
-    result = QuestionResult.model_validate(stored)
-    program = Program.read(result.program)
-    tree = _Tree(program, execute(program, facts), result.attention)
-    root = tree.chain(len(program.nodes) - 1)
-    steps = tree.steps
-    return Question(
-        number=number,
-        name=name,
-        result=result,
-        asks_for=TYPE_WORDS[program.types[-1]],
-        program=root,
-        scale=max([1.0, *(attention.change for attention in result.attention)]),
-        first=next((step for step in steps.values() if step.is_first), None),
-        most=next((step for step in steps.values() if step.is_most), None),
-    )
-
-
-class _Tree:
-    """Makes the chains of a program; `steps` are those made so far, by number."""
-
-    def __init__(self, program: Program, outputs: Sequence[Value], attention: Sequence[Attended]) -> None:
-        self._program, self._outputs = program, outputs
-        self._attention = {change.node: change for change in attention}
-        self._first, self._most = first_changed(attention), most_changed(attention)
-        self.steps: dict[int, Step] = {}
-
-    def chain(self, last: int) -> Chain:
-        """The chain that ends in a node. A node that several take is shown in whole in the first of their chains."""
-        numbers = [last]
-        inputs = self._program.nodes[last].inputs
-        while len(inputs) == 1 and numbers[-1] not in self.steps:
-            numbers.append(inputs[0])
-            inputs = self._program.nodes[inputs[0]].inputs
-        again = numbers[-1] in self.steps
-        before = () if again else tuple(self.chain(source) for source in inputs)
-        return Chain(before, tuple(self._step(number) for number in reversed(numbers)))
-
-    def _step(self, number: int) -> Step:
-        node, gives = self._program.nodes[number], self._program.types[number]
-        attention = self._attention.get(number)
-        step = Step(
-            number=number,
-            words=_words(node),
-            label=node.label,
-            gives=TYPE_WORDS[gives],
-            right=_output(self._outputs[number], gives),
-            attention=attention,
-            is_first=attention is not None and attention == self._first,
-            is_most=attention is not None and attention == self._most,
-            is_answer=number == len(self._program.nodes) - 1,
-            shown_before=number in self.steps,
-        )
-        return self.steps.setdefault(number, step) if not step.shown_before else step
-
-
-def _words(node: Node) -> str:
-    name, _, attribute = node.function.partition("_")
-    if node.function in _WORDS:
-        return _WORDS[node.function]
-    if name == "filter":
-        return f"those that are {node.values[0]}{'s' if attribute == 'shape' else ''}"
-    if name == "relate":
-        return f"those {_RELATIONS[node.values[0]]}"
-    return {"query": f"its {attribute}", "same": f"others of its {attribute}", "equal": f"the same {attribute}?"}[name]
-
-
-def _output(value: Value, kind: Type) -> str:
-    if isinstance(value, frozenset):
-        return ", ".join(map(str, sorted(value))) or "none"
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    return f"object {value}" if kind == "object" else str(value)
 
 
 def all_events(record: Record, job_id: str) -> Iterator[Event]:
@@ -219,9 +46,24 @@ def trace_of_events(events: Iterable[Event]) -> list[dict[str, Any]]:
     return rows
 
 
+@dataclass(frozen=True)
+class Drawn:
+    """What a task adds to a result, as its template draws it. several: whether it attacks several answers together."""
+
+    template: str
+    shown: object
+    several: bool
+
+    @classmethod
+    def of(cls, name: str, part: ResultPart, spec: Mapping[str, Any], result: Mapping[str, Any]) -> Self:
+        """The part of a task, by its name. Without a template of its own it has the one that draws nothing."""
+        template = "task.html" if part.template is None else f"{OF_TASKS}/{name}"
+        return cls(template, part.shown(spec, result), bool(part.answers))
+
+
+OF_TASKS = "tasks"
+"""Beginning of the names of templates that tasks bring."""
 IMAGES = ("original.png", "attacked.png", "perturbation.png")
-SEARCHED = ("coordinates", "coordinates that reach the answer")
-"""Names in a plan for the coordinates of a group that the attack on a question searches."""
 ROWS = 100
 """Rows of a trace that a page's table has at most."""
 LEAST = 0.01
@@ -236,9 +78,9 @@ def page(
     """
     trace = trace_of(job, events)
     spec, result = job.spec, job.result
-    asked = questions(result, spec, question_names(spec))
-    shown = {name for question in asked for of in question.result.attention for name in (of.before, of.after)}
-    things = objects(result, spec)
+    parts = parts_of((result or {}).get("tasks"))
+    patterns = [pattern for part in parts.values() for pattern in part.contents]
+    of_tasks = [artifact for artifact in artifacts if any(fnmatch(artifact.name, pattern) for pattern in patterns)]
     rows = subsets(result)
     names = {group: group_words(spec, group) for group in (rows[-1]["groups"] if rows else ())}
     shares = None if result is None else result["attribution"]
@@ -253,8 +95,8 @@ def page(
         "last": trace[-1] if trace else None,
         "charts": {against: charts(trace, spec, against) for against in ("step", "queries", "seconds")},
         "rows": evenly(trace),
-        "artifacts": [artifact for artifact in artifacts if artifact.name not in shown],
-        "attention_files": [artifact for artifact in artifacts if artifact.name in shown],  # which are many
+        "artifacts": [artifact for artifact in artifacts if artifact not in of_tasks],
+        "task_files": of_tasks,  # which are many
         "best": best,
         "continuable": has_checkpoint and job.state in (State.CANCELLED, State.FAILED),
         # Whether it began with the checkpoint of the job that it repeats, which it then has from its beginning. One
@@ -262,21 +104,9 @@ def page(
         "went_on": has_checkpoint
         and job.retry_of is not None
         and (result is not None or not trace or trace[0]["step"] > 0),
-        "questions": asked,
-        "objects": things,
-        # The groups whose effect on single objects was measured.
-        "effect_groups": [
-            group for group in spec["attack"]["groups"] if any(group in thing.effects for thing in things)
-        ],
-        "limits": limits(result, spec) if asked else [],
+        "tasks": [] if result is None else [Drawn.of(name, part, spec, result) for name, part in parts.items()],
         "image_size": tuple(spec["scene"]["camera"]["size"]),
     }
-
-
-def limits(result: dict[str, Any] | None, spec: dict[str, Any]) -> list[dict[str, Any]]:
-    """The plan's lines about the coordinates of the attacked groups."""
-    items = [] if result is None else result["plan"]["items"]
-    return [item for item in items if item["part"] in spec["attack"]["groups"] and item["what"] in SEARCHED]
 
 
 def subsets(result: dict[str, Any] | None) -> list[dict[str, Any]]:

@@ -6,8 +6,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from scene_attack.analysis.verdict import Verdict
 from scene_attack.rendering.physical_change import PhysicalChange
-from scene_attack.scenes.description import Model
-from scene_attack.strict import reference
+from scene_attack.strict import Model, reference
 
 Name = Annotated[str, Field(min_length=1, max_length=100)]
 Steps = Annotated[int, Field(ge=1, le=10_000)]

@@ -15,8 +15,7 @@ from pydantic import Field, ModelWrapValidatorHandler, ValidationInfo, field_val
 from scene_attack.attacks.request import Expectation, Loss
 from scene_attack.plugins import Registry
 from scene_attack.rendering.declaration import MAX_STEP, RENDERERS, Group
-from scene_attack.scenes.description import Model
-from scene_attack.strict import Several
+from scene_attack.strict import Model, Several
 from scene_attack.text import there_are
 
 if TYPE_CHECKING:

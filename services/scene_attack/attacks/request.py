@@ -7,7 +7,7 @@ from typing import Annotated, Literal, get_args
 from pydantic import Field, model_validator
 
 from scene_attack.rendering.declaration import Declaration
-from scene_attack.scenes.description import Model
+from scene_attack.strict import Model
 
 Degrees = Annotated[float, Field(ge=0, le=180, allow_inf_nan=False)]
 Relative = Annotated[float, Field(ge=0, le=0.9, allow_inf_nan=False)]

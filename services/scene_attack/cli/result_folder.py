@@ -85,7 +85,7 @@ def _same(stored: Mapping[str, Any], spec: "JobSpec") -> bool:
 
 
 def _same_goal(stored: "Goal", asked: "Goal") -> bool:
-    if (stored.least_confidence, stored.leave_kind) != (asked.least_confidence, asked.leave_kind):
+    if stored.least_confidence != asked.least_confidence:
         return False
     if (stored.reach is None) != (asked.reach is None):
         return False

@@ -1,4 +1,4 @@
-"""Text tables of a job's results: its outcome and warnings, its analyses, its questions and their answers."""
+"""Text tables of a job's results: its outcome, its warnings and its analyses."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -18,9 +18,10 @@ from scene_attack.analysis.records import (
 )
 from scene_attack.analysis.verdict import SUCCESS, WRONG_BEFORE, Verdict, held_within
 from scene_attack.cli.console import FittedTable, answer_text, remark, say, yes
-from scene_attack.runs.result import Asked, JobWarning, Outcome, QuestionResult, first_changed
+from scene_attack.runs.result import JobWarning, Outcome
+from scene_attack.runs.spec import asked_of
+from scene_attack.runs.task_parts import Part
 from scene_attack.text import signed
-from scene_attack_questions.program import TYPE_WORDS, Program
 
 OUTCOME_STYLES = {"fooled": "bold magenta", "held": "bold blue"}
 """The colours of outcomes; the others are yellow, since they are neither a success nor a failure."""
@@ -50,11 +51,8 @@ def goal_line(spec: Mapping[str, Any]) -> str | None:
     goal = spec["goal"]
     if goal.get("reach") is not None:
         return f"Goal: the answer {goal['reach']!r}. Another wrong answer does not meet it."
-    if goal.get("leave_kind"):
-        return (
-            "Goal: an answer of another kind than the question asks for. A wrong answer of its kind does not meet it."
-        )
-    return None
+    asked = asked_of(spec)
+    return None if asked is None or asked.goal is None else f"Goal: {asked.goal}"
 
 
 def thousandths(p: float) -> str:
@@ -65,7 +63,7 @@ def thousandths(p: float) -> str:
 def answer_cell(outcome: Outcome, when: Literal["before", "after"]) -> str:
     """The network's answer "before" or "after" the attack, with its confidence, e.g. "grand piano 0.77".
 
-    Of several questions the answers to each, e.g. "4, cyan, yes".
+    Of several that are attacked together each, e.g. "4, cyan, yes".
     """
     if outcome.answers:
         return ", ".join(before if when == "before" else after for before, after in outcome.answers)
@@ -273,74 +271,8 @@ def _adaptive(attack: AdaptiveAttack) -> FittedTable:
     return FittedTable(columns, [row], title="Attack on pixels through the re-rendering defence")
 
 
-QUESTIONS_TITLE = "Questions about the image"
-ASKED_COLUMNS = ("question", "asks for", "right answer")
-_ANSWERS = ("answer before", "answer after", "of that kind", "network")
-ANSWERED_COLUMNS = ("question", "asks for", "right", "right after", *_ANSWERS)
-ATTENTION_FILES = "attention-<question>-<function>-before.png and -after.png"
-
-
-def print_asked(questions: Sequence[Asked]) -> None:
-    """Prints questions before an attack, e.g. those of a plan: each with its program and its right answer."""
-    if questions:
-        rows = [
-            [_words(number, question), _asks_for(question), question.right] for number, question in enumerate(questions)
-        ]
-        _print_questions(FittedTable(ASKED_COLUMNS, rows, title=QUESTIONS_TITLE), map(_program, questions))
-
-
-def print_answered(questions: Sequence[QuestionResult], folder: Path | None = None) -> None:
-    """Prints questions and their answers before and after an attack. folder: that of the job's files, if it is here."""
-    if not questions:
-        return
-    rows: list[list[str | Text]] = [
-        [
-            _words(number, question),
-            _asks_for(question),
-            question.right,
-            question.right_after or "ill-posed",
-            answer_text(question.before),
-            answer_text(question.after),
-            yes(question.before_of_kind) + Text(" → ") + yes(question.after_of_kind),
-            verdict(question.outcome),
-        ]
-        for number, question in enumerate(questions)
-    ]
-    lines = [f"{_program(question)}; {_changed(question)}" for question in questions]
-    _print_questions(FittedTable(ANSWERED_COLUMNS, rows, title=QUESTIONS_TITLE), lines)
-    if folder is not None:
-        say(f"Images of what the functions attend to: {folder / ATTENTION_FILES}")
-
-
-def program_text(program: Program) -> str:
-    """A program in a line, each function with its number and the numbers of those it takes.
-
-    E.g. "0 scene, 1 filter_color[red](0), 2 count(1)".
-    """
-    return ", ".join(
-        f"{number} {node.label}" + (f"({', '.join(map(str, node.inputs))})" if node.inputs else "")
-        for number, node in enumerate(program.nodes)
-    )
-
-
-def _print_questions(table: FittedTable, lines: Iterable[str]) -> None:
-    say(table, *(f"Program of question {number}: {line}" for number, line in enumerate(lines)))
-
-
-def _program(question: Asked) -> str:
-    return program_text(Program.read(question.program))
-
-
-def _changed(question: QuestionResult) -> str:
-    first = first_changed(question.attention)
-    if first is None:
-        return "each function attends to the same objects after the attack"
-    return f"function {first.node} is the first to attend to other objects after the attack"
-
-
-def _words(number: int, question: Asked) -> str:
-    return f"{number}  {question.question or '(given as a program)'}"
-
-
-def _asks_for(question: Asked) -> str:
-    return TYPE_WORDS[Program.read(question.program).types[-1]]
+def print_tasks(tasks: Mapping[str, object], folder: Path | None = None) -> None:
+    """Prints what tasks add to a plan or to a result. folder: that of the job's files, if it is on this machine."""
+    for part in tasks.values():
+        if isinstance(part, Part):
+            say(*part.tables(folder))

@@ -16,9 +16,9 @@ from scene_attack.runs.campaign_plan import ChosenView
 from scene_attack.runs.campaign_spec import CampaignSpec
 from scene_attack.runs.result import Cost, JobPlan, JobWarning, Outcome, Preview, Result
 from scene_attack.runs.spec import JobSpec, RerenderingSpec, RerenderingView, TargetChoice
-from scene_attack.scenes.description import Model, Scene
+from scene_attack.scenes.description import Scene
 from scene_attack.scenes.library import Entry
-from scene_attack.strict import Strict
+from scene_attack.strict import Model, Strict
 from scene_attack.targets.info import TargetInfo
 from scene_attack.text import line, line_or_nothing, paragraphs
 
@@ -70,13 +70,13 @@ class JobSummary(BaseModel):
     title: str | None = Field(None, description="the name that a person gave the job; null if nobody has")
     tags: list[str] = Field(default_factory=list, description="the tags that people gave the job, sorted")
     retry_of: str | None = Field(None, description="id of the job whose request this one repeats; null if none")
-    name: str = Field(description="the question, or the meshes of a job without one; of several questions their number")
+    name: str = Field(description="what is asked, in words, or the meshes of a job that asks nothing")
     scene: str = Field(description="the meshes without their folders")
     attack: str = Field(description="renderer, parameter groups and method in short")
     renderer: str
     method: str
     target: str = Field(description="name of the network")
-    question: str | None = Field(description="the first question; null for a job without one")
+    asked: str | None = Field(description="the first thing asked; null for a job that asks nothing")
     checked: bool = Field(
         True,
         description="whether the scene was rendered and the network asked, before the job was accepted or by a worker "
@@ -121,7 +121,7 @@ class JobRow(BaseModel):
     renderer: str
     method: str
     target: str
-    question: str | None
+    asked: str | None
     state: State
     outcome: str | None
     verified: bool | None = Field(description="whether the adversary is a success: verified on the exact image")

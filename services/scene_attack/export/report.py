@@ -25,6 +25,7 @@ from scene_attack.runs.exported_targets import FOLDER, ExportedTarget
 from scene_attack.runs.prepare import lit_by_map
 from scene_attack.runs.result import Result
 from scene_attack.runs.spec import JobSpec, attack_name, group_words
+from scene_attack.runs.task_parts import TASKS
 from scene_attack.scenes.resolve import ResolvedScene
 from scene_attack.text import signed
 
@@ -62,9 +63,6 @@ CONTENTS = {
     "map-before.png": "the intensities of the environment map as it was",
     "map-after.png": "the same under attack, in the same scale",
     "map-ratio.png": "the second divided by the first: red is brighter, blue is darker",
-    "attention-*-before.png": "what a function of a question's program attends to in the original image",
-    "attention-*-after.png": "the same in the attacked image",
-    "attention.safetensors": "the masks of these functions, float32 in [0,1]",
 }
 """Descriptions of files by name or pattern; the first pattern that fits counts."""
 
@@ -131,7 +129,9 @@ def _listed(path: str) -> str:
 
 def content(name: str) -> str:
     """The description of a file of the bundle."""
-    return next((words for pattern, words in CONTENTS.items() if fnmatch(name, pattern)), "a file of the job")
+    tasks = [task.result.contents for task in TASKS.values() if task.result is not None]
+    known = ((pattern, words) for contents in (CONTENTS, *tasks) for pattern, words in contents.items())
+    return next((words for pattern, words in known if fnmatch(name, pattern)), "a file of the job")
 
 
 def bibtex() -> str:

@@ -26,10 +26,10 @@ from scene_attack.analysis.campaign_table import Case, Curves, MeanCurves, Table
 from scene_attack.attacks.attack import Attack
 from scene_attack.extras import extra
 from scene_attack.rendering.declaration import IMAGE_OF
-from scene_attack.runs.campaign_spec import CampaignSpec, Grid, Member, Selection
+from scene_attack.runs.campaign_spec import CampaignSpec, Grid, Selection
 from scene_attack.runs.result import Provenance, Result, success
 from scene_attack.runs.spec import JobSpec, TargetChoice, attack_name, digest, scene_name
-from scene_attack_questions.generator import QuestionRecord
+from scene_attack.runs.task_parts import Member, PlanParts
 
 
 @dataclass(frozen=True)
@@ -39,14 +39,14 @@ class View:
     number: int
     grid: int | None
     """The number of its grid; None for a single job's view."""
-    member: int
+    place: int
     """The number of the scene in its grid, or of the job among the campaign's jobs."""
+    member: Member
+    """The scene, and what is asked about it."""
     probe: JobSpec
     """A job with this scene and target, and an attack on this renderer's image."""
     selection: Selection | None
     """The grid's rules; None if the view's jobs are run whatever the answer."""
-    asked: tuple[QuestionRecord, ...] = ()
-    """The generated questions that are asked about it."""
 
     @property
     def image_renderer(self) -> str:
@@ -66,7 +66,7 @@ class View:
     @property
     def unit(self) -> tuple[int, str]:
         """The views that are attacked or not together: those of a scene for all targets if shared, else this alone."""
-        return (self.member if self.shared else self.number), self.image_renderer
+        return (self.place if self.shared else self.number), self.image_renderer
 
 
 def image_renderer(spec: JobSpec) -> str:
@@ -80,9 +80,9 @@ def views(campaign: CampaignSpec) -> list[View]:
     for index, grid in enumerate(campaign.grids):
         for number, member in enumerate(grid.members()):
             for probe in _probes(grid, member):
-                result.append(View(len(result), index, number, probe, grid.selection, member.questions))
+                result.append(View(len(result), index, number, member, probe, grid.selection))
     for number, job in enumerate(campaign.jobs):
-        result.append(View(len(result), None, number, job, None))
+        result.append(View(len(result), None, number, Member(job.scene, job.target.ask), job, None))
     return result
 
 
@@ -97,16 +97,10 @@ def _probes(grid: Grid, member: Member) -> Iterator[JobSpec]:
 
 
 def job_of(grid: Grid, member: Member, target: TargetChoice, attack: Attack) -> JobSpec:
-    """The job of a grid with this scene, its questions, this target and attack, and seed 0."""
-    words = tuple(asked.question for asked in member.questions)
-    if len(words) == 1:
-        target = target.model_copy(update={"question": words[0]})
-    elif words:
-        target = target.model_copy(update={"questions": words})
+    """The job of a grid with this scene, what is asked about it, this target and attack, and seed 0."""
     return JobSpec(
         scene=member.scene,
-        record=member.record,
-        target=target,
+        target=target if member.ask is None else target.model_copy(update={"ask": member.ask}),
         goal=grid.goal,
         attack=attack,
         tolerance=grid.tolerance,
@@ -127,11 +121,7 @@ class FirstAnswer(BaseModel):
     confidence: float | None = None
     truth: list[str] = Field([], description="the labels that are right; empty if nobody knows them")
     refused: str | None = Field(None, description="why the view cannot be attacked at all")
-    programs: list[list[dict[str, object]]] = Field(
-        [],
-        exclude_if=operator.not_,
-        description="the network's programs of the questions that were asked",
-    )
+    tasks: PlanParts = Field({}, exclude_if=operator.not_, description="what the network's task adds to a plan")
     spec: JobSpec | None = Field(None, description="the probe as it would run, with scene and goal filled in")
     identity: str | None = Field(None, description="digest of scene, weights, backend, versions and answer; for reuse")
 
@@ -148,7 +138,7 @@ class ChosenView(BaseModel):
 
     number: int
     scene: str = Field(description="short name of the scene's meshes")
-    questions: list[str] = Field([], exclude_if=operator.not_, description="the questions that are asked about it")
+    asked: list[str] = Field([], exclude_if=operator.not_, description="what is asked about it, in words")
     azimuth: float = Field(description="of the camera, radians")
     target: str
     renderer: str = Field(description="the renderer of the image")
@@ -199,8 +189,8 @@ def _unfit(view: View, answer: FirstAnswer | None) -> str:
         return "its first answer could not be found"
     if answer.refused is not None:
         return answer.refused
-    if view.asked and answer.programs != [asked.program.written() for asked in view.asked if asked.program is not None]:
-        return "the network has another program than that of the question"
+    if (why := view.member.refused(answer.tasks)) is not None:
+        return why
     rules = view.selection
     if rules is None:
         return ""
@@ -276,7 +266,7 @@ def _record(view: View, answer: FirstAnswer | None, why: str, titles: Mapping[st
     return ChosenView(
         number=view.number,
         scene=scene_name({"scene": {"objects": [{"mesh": thing.mesh} for thing in view.probe.scene.objects]}}, titles),
-        questions=[asked.question for asked in view.asked],
+        asked=[] if view.member.ask is None else list(view.member.ask.names),
         azimuth=view.probe.scene.camera.azimuth,
         target=view.probe.target.name,
         renderer=view.image_renderer,

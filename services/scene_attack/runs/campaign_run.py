@@ -30,7 +30,7 @@ from scene_attack.runs.campaign_plan import (
 )
 from scene_attack.runs.campaign_spec import CampaignSpec
 from scene_attack.runs.execute import execute, provenance
-from scene_attack.runs.prepare import prepare_exactly
+from scene_attack.runs.prepare import prepare_exactly, tasks_of_plan
 from scene_attack.runs.result import RESULT, Result
 from scene_attack.scenes.library import Library
 from scene_attack.targets.scores import probability
@@ -62,7 +62,7 @@ def first_answer(view: View, library: Library) -> FirstAnswer:
         label=label,
         confidence=confidence,
         truth=[prepared.target.labels[index] for index in prepared.settled.truth],
-        programs=[question.program for question in prepared.task.stated()],
+        tasks=tasks_of_plan(prepared),
         spec=prepared.spec,
         identity=identity(provenance(prepared), label, confidence),
     )

@@ -1,17 +1,14 @@
 """The request of a campaign: grids of scenes × targets × attacks × seeds, or a list of jobs.
 
 It is the same JSON for `POST /v1/campaigns` and `scene-attack campaign run`. The scenes of a grid are listed, or are
-meshes × views with one object each, or are scenes after CLEVR with generated questions. This module does not import
-torch.
+meshes × views with one object each, or are made for the networks' task with what is asked about each. This module does
+not import torch.
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass
-from functools import lru_cache
 from itertools import zip_longest
 from math import pi
 from random import Random
-from typing import Annotated, Any, Literal, Self, TypeVar, get_args
+from typing import Annotated, Any, Literal, Self, TypeVar
 
 from pydantic import (
     AfterValidator,
@@ -25,10 +22,9 @@ from pydantic import (
 from scene_attack.analysis.records import AnalysisRequest
 from scene_attack.attacks.attack import Attack
 from scene_attack.attacks.request import Seed
-from scene_attack.errors import InvalidRequest, below
+from scene_attack.errors import below
 from scene_attack.rendering.plan import DEFAULT_TOLERANCE
 from scene_attack.runs.spec import (
-    MOST_TOGETHER,
     AnyAttack,
     AnyTolerance,
     Goal,
@@ -38,26 +34,12 @@ from scene_attack.runs.spec import (
     parsed,
     with_method,
 )
+from scene_attack.runs.task_parts import AnyCases, Member, models_of
 from scene_attack.scenes import furniture
-from scene_attack.scenes.description import (
-    Angle,
-    Camera,
-    Colour,
-    Lights,
-    MeshName,
-    Model,
-    Pixels,
-    Scene,
-    SceneObject,
-    absent,
-)
-from scene_attack.strict import Names, Several, reference
+from scene_attack.scenes.description import Angle, Camera, Colour, Lights, MeshName, Scene, SceneObject
+from scene_attack.scenes.source import SOURCES
+from scene_attack.strict import Model, Names, Several, absent, reference
 from scene_attack.text import line, there_are
-from scene_attack_questions.clevr.description import describe
-from scene_attack_questions.clevr.generator import MAX_OBJECTS, MIN_OBJECTS, generate
-from scene_attack_questions.clevr.records import IMAGE_SIZE, SceneRecord
-from scene_attack_questions.families import FAMILIES, Kind
-from scene_attack_questions.generator import QuestionGenerator, QuestionRecord
 
 MAX_LISTED = 20_000
 """Largest number of scenes, meshes or jobs that a campaign may list."""
@@ -152,113 +134,6 @@ class SceneGrid(Model):
         )
 
 
-MAX_IMAGES = 2000
-"""Largest number of scenes of a grid with questions; each takes a few milliseconds to make."""
-KINDS: tuple[str, ...] = get_args(Kind)
-
-Count = Annotated[int, Field(ge=1, le=MAX_OBJECTS)]
-
-
-@dataclass(frozen=True)
-class Member:
-    """A scene of a grid, and the questions that a job asks about it; a scene without questions has no record."""
-
-    scene: Scene
-    record: SceneRecord | None = None
-    questions: tuple[QuestionRecord, ...] = ()
-
-
-class QuestionGrid(Model):
-    """Scenes after CLEVR, and questions about them. Each question is a case of its own, or those of a scene together.
-
-    They follow from this request alone, on every machine.
-    """
-
-    images: Annotated[int, Field(ge=1, le=MAX_IMAGES)] = Field(description="number of scenes")
-    seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = Field(default=0, description="seed of the scenes")
-    first: Annotated[int, Field(ge=0, le=2**62)] = Field(
-        default=0, description="number of the first scene among those of the seed; the others follow it"
-    )
-    objects: tuple[Count, Count] = Field(
-        default=(MIN_OBJECTS, MAX_OBJECTS),
-        description="fewest and most objects of a scene, between which each is drawn",
-    )
-    questions: Annotated[int, Field(ge=1, le=MOST_TOGETHER)] = Field(
-        default=1, description="number of questions about each scene, of different families"
-    )
-    question_seed: Seed = Field(default=0, description="seed of the questions")
-    kinds: tuple[str, ...] = Field(
-        default=(), max_length=len(KINDS), description="kinds of question families; empty: all"
-    )
-    together: bool = Field(
-        default=False,
-        description="attack the questions about a scene together, in one job; else each in one of its own",
-    )
-    size: tuple[Pixels, Pixels] = Field(default=IMAGE_SIZE, description="height and width of the images, pixels")
-    shadows: bool = Field(default=True, description="draw shadows")
-
-    @field_validator("objects")
-    @classmethod
-    def _in_order(cls, value: tuple[int, int]) -> tuple[int, int]:
-        if value[0] > value[1]:
-            raise ValueError(f"the fewest, {value[0]}, are more than the most, {value[1]}")
-        return value
-
-    @field_validator("kinds")
-    @classmethod
-    def _known_kinds(cls, value: tuple[str, ...]) -> tuple[str, ...]:
-        for index, kind in enumerate(value):
-            if kind not in KINDS:
-                raise ValueError(f"{index}: there is no kind {kind!r}; {there_are(kind, KINDS)}")
-        return value
-
-    @model_validator(mode="after")
-    def _several_together(self) -> Self:
-        if self.together and self.questions == 1:
-            raise ValueError("together: there is one question about each scene; leave it out, or ask several")
-        return self
-
-    def count(self) -> int:
-        """Returns the largest number of members that there may be, without making them."""
-        return self.images * (1 if self.together else self.questions)
-
-    def members(self) -> tuple[Member, ...]:
-        """Returns all scenes with their questions, in order. Raises InvalidRequest for objects that do not fit."""
-        return _members(self)
-
-    def sample(self) -> Member:
-        """Returns the first scene, with one question about it.
-
-        Raises InvalidRequest as `members` does, and if no such question can be asked about this scene.
-        """
-        single = self.model_copy(update={"images": 1, "together": False})
-        member = next(_made(single), None)
-        if member is None:
-            raise InvalidRequest("generate.kinds", "no such question can be asked about the first scene")
-        return member
-
-
-@lru_cache(maxsize=4)
-def _members(grid: QuestionGrid) -> tuple[Member, ...]:
-    return tuple(_made(grid))
-
-
-def _made(grid: QuestionGrid) -> Iterator[Member]:
-    families = [family for family in FAMILIES if not grid.kinds or family.kind in grid.kinds]
-    asking = QuestionGenerator(grid.question_seed, families)
-    for index in range(grid.first, grid.first + grid.images):
-        with below("generate"):
-            record = generate(grid.seed, index, objects=grid.objects)
-        scene = describe(record, grid.size)
-        if not grid.shadows:
-            scene = scene.model_copy(update={"shadows": None})
-        questions = tuple(asking.ask(record, grid.questions))
-        if not grid.together:
-            yield from (Member(scene, record, (question,)) for question in questions)
-        elif len(questions) == grid.questions:  # a scene about which so many cannot be asked is left out
-            yield Member(scene, record, questions)
-
-
 MOST_GENERATED = 200
 """Jobs in a list whose scenes are to be generated, 10 ms each before the answer; a grid's are made afterwards."""
 
@@ -325,16 +200,16 @@ class Grid(Model):
     scenes: SceneGrid | Annotated[tuple[Scene, ...], Field(min_length=1, max_length=MAX_LISTED)] | None = Field(
         default=None, exclude_if=absent, description="scenes, or meshes and views to make them of"
     )
-    generate: QuestionGrid | None = Field(
-        default=None,
-        exclude_if=absent,
-        description="in place of `scenes`: scenes after CLEVR, and questions about each",
-    )
     targets: tuple[NamedTarget, ...] = Field(
         default=(TargetChoice(),),
         min_length=1,
         max_length=32,
-        description="the networks; each is a row of the table; one that takes no question may be written as its name",
+        description="the networks; each is a row of the table; one that is asked nothing may be written as its name",
+    )
+    generate: AnyCases | None = Field(
+        default=None,
+        exclude_if=absent,
+        description="in place of `scenes`: scenes for the task of the networks to make, and what is asked about each",
     )
     attacks: tuple[Column, ...] = Field(min_length=1, max_length=64)
     seeds: Several[Seed] = Field(default=(0,), min_length=1, max_length=1000)  # type: ignore[arg-type]
@@ -367,32 +242,48 @@ class Grid(Model):
         return once(value) if isinstance(value, tuple) else value
 
     @model_validator(mode="after")
-    def _scenes_or_questions(self) -> Self:
+    def _scenes_or_cases(self) -> Self:
         if self.scenes is None and self.generate is None:
             raise ValueError("scenes: is required, or `generate` in its place")
         if self.scenes is not None and self.generate is not None:
             raise ValueError("generate: leave it out where `scenes` is given")
-        for index, target in enumerate(self.targets):
-            if self.generate is not None and (target.question is not None or target.questions):
-                raise ValueError(f"targets.{index}: leave its question out; those of `generate` are asked")
+        for index, target in enumerate(() if self.generate is None else self.targets):
+            if type(self.generate) not in models_of("cases", target.name):
+                raise ValueError(f"targets.{index}.name: {target.name} is asked nothing that `generate` makes")
+            if target.ask is not None:
+                raise ValueError(f"targets.{index}.ask: leave it out; what `generate` makes is asked")
         return self
 
     def members(self) -> tuple[Member, ...]:
-        """All scenes, in order, with the questions that are asked about them."""
+        """All scenes, in order, with what is asked about them."""
         if self.generate is not None:
-            return self.generate.members()
+            with below("generate"):
+                return self.generate.members()
         scenes = self.scenes.scenes() if isinstance(self.scenes, SceneGrid) else self.scenes
         return tuple(map(Member, scenes or ()))
 
     def sample(self) -> Member:
-        """The first scene, with one question if questions are asked."""
-        return self.members()[0] if self.generate is None else self.generate.sample()
+        """The first scene, with one thing asked if things are asked."""
+        if self.generate is None:
+            return self.members()[0]
+        with below("generate"):
+            return self.generate.sample()
 
     def count(self) -> int:
         """The largest number of members that there may be, without making them."""
         if self.generate is not None:
             return self.generate.count()
         return self.scenes.count() if isinstance(self.scenes, SceneGrid) else len(self.scenes or ())
+
+
+def _is_slow(job: Any) -> bool:
+    """Whether the scene of a job, as data, takes milliseconds to make."""
+    try:
+        source = job["scene"]["source"]
+        field = SOURCES[source["format"]].slow
+        return field is not None and source.get(field) is not None
+    except (TypeError, KeyError, AttributeError):
+        return False
 
 
 class CampaignSpec(Model):
@@ -408,12 +299,12 @@ class CampaignSpec(Model):
 
     @field_validator("jobs", mode="before")
     @classmethod
-    def _few_generated(cls, data: Any) -> Any:
+    def _few_are_slow(cls, data: Any) -> Any:
         listed = data if isinstance(data, list | tuple) else ()
-        count = sum(isinstance(item, dict) and item.get("generate") is not None for item in listed)
+        count = sum(map(_is_slow, listed))
         if count > MOST_GENERATED:
             raise ValueError(
-                f"{count:,} jobs have `generate`, and {MOST_GENERATED} may; use `generate` of a grid for more"
+                f"the scenes of {count:,} jobs are to be made, and {MOST_GENERATED} may be; use `generate` of a grid"
             )
         return data
 

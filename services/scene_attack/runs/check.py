@@ -125,7 +125,7 @@ def _places(grid: Grid, place: str, target: int, column: int) -> dict[str, str]:
 
 def _places_of_scene(grid: Grid, place: str) -> dict[str, str]:
     if grid.generate is not None:
-        return dict.fromkeys(("scene", "record", "target.question"), f"{place}.generate")
+        return dict.fromkeys(("scene", "target.ask"), f"{place}.generate")
     scenes = f"{place}.scenes"
     if not isinstance(grid.scenes, SceneGrid):
         return {"scene": f"{scenes}.0"}
@@ -155,6 +155,7 @@ def _placed(error: InvalidRequest, places: Places) -> InvalidRequest:
     field = error.field
     for part, place in places.items():
         if part == "" or field == part or field.startswith(f"{part}."):
-            rest = field.removeprefix(part).removeprefix(".")
+            # what `generate` makes has fields that it has not
+            rest = "" if place.endswith(".generate") else field.removeprefix(part).removeprefix(".")
             return InvalidRequest(f"{place}.{rest}" if rest else place, error.detail)
     return error

@@ -13,7 +13,7 @@ from scene_attack.analysis.verdict import Verdict, judge
 from scene_attack.attacks.goal import ResolvedGoal
 from scene_attack.errors import InvalidRequest
 from scene_attack.rendering.protocol import Parameters
-from scene_attack.runs.result import Asked, FirstAnswer, QuestionResult, warnings
+from scene_attack.runs.result import FirstAnswer, warnings
 from scene_attack.runs.spec import MAX_LABELS, AskedGoal, Goal, JobSpec, with_same
 from scene_attack.runs.task import Settled
 from scene_attack.targets import registry
@@ -25,28 +25,28 @@ from scene_attack.targets.scores import probability
 
 @dataclass(frozen=True)
 class Classification:
-    """A network that says what it sees, or answers a question of which nothing but the scores is known: a `Task`."""
+    """A network that says what it sees, or what it was asked of which nothing but the scores is known: a `Task`."""
 
     target: Target
     asked: AskedGoal
     table: tuple[int, ...]
     """The labels that the reviewed table says are right for the scene (`table_truth`)."""
-    question: str | None
+    question: str | None = None
+    """What it was asked, in words, if it was asked something."""
 
-    def settle(self, original: Tensor, logits: Tensor) -> Settled:  # noqa: ARG002 - several questions need it
+    def settle(self, original: Tensor, logits: Tensor) -> Settled:  # noqa: ARG002 - other tasks need it
         """By the truth of the request, or of the table."""
         return settle(self.asked, self.table, logits)
 
     def constraint(self, renderer: str, initial: Parameters) -> None:
         """None: what a thing is does not depend on where it is."""
 
-    def stated(self) -> tuple[Asked, ...]:
-        """None: the program of the question is not known, if there is one."""
-        return ()
+    def plan(self) -> None:
+        """Nothing."""
 
     def first_answers(self, original: Tensor, logits: Tensor, goal: ResolvedGoal) -> tuple[FirstAnswer, ...]:  # noqa: ARG002
         """One answer."""
-        return (FirstAnswer(question=self.question, answer=answer(logits, self.target.labels, goal)),)
+        return (FirstAnswer(asked=self.question, answer=answer(logits, self.target.labels, goal)),)
 
     def judge(
         self,
@@ -56,28 +56,14 @@ class Classification:
         before: ScoredImage,
         after: ScoredImage,
         out: Path,  # noqa: ARG002
-    ) -> tuple[Verdict, list[QuestionResult]]:
+    ) -> tuple[Verdict, None]:
         """By the truth and the scores alone."""
         first, last = int(before.logits.argmax()), int(after.logits.argmax())
-        return judge(settled.truth, first, last, bool(settled.goal.fooled(after.logits))), []
-
-
-def classification(spec: JobSpec, network: Target, asked: AskedGoal) -> Classification:
-    """Raises InvalidRequest for a question, and for a kind of answers to leave."""
-    choice = spec.target
-    if choice.question is not None or choice.questions:
-        field = "target.question" if choice.question is not None else "target.questions.0"
-        raise InvalidRequest(field, f"{network.name} answers no questions; leave it out")
-    return seen(spec, network, asked)
+        return judge(settled.truth, first, last, bool(settled.goal.fooled(after.logits))), None
 
 
 def seen(spec: JobSpec, target: Target, asked: AskedGoal, question: str | None = None) -> Classification:
-    """The classification of a job's image by a target that has scores, such as one that was asked a question.
-
-    Raises InvalidRequest for a kind of answers to leave.
-    """
-    if spec.goal.leave_kind:
-        raise InvalidRequest("goal.leave_kind", "only a question has a kind of answers; leave it out")
+    """The classification of a job's image by a target that has scores, such as one that was asked a question."""
     table = table_truth((thing.mesh for thing in spec.scene.objects), registry.card(spec.target.name), asked.labels)
     return Classification(target, asked, table, question)
 

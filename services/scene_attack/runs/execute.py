@@ -45,13 +45,14 @@ from scene_attack.runs.result import (
     JobWarning,
     Measured,
     Provenance,
-    QuestionResult,
     Result,
     StoredChange,
     subset_image,
 )
 from scene_attack.runs.spec import JobSpec
+from scene_attack.runs.task_parts import ResultPart
 from scene_attack.scenes.library import Library
+from scene_attack.targets import registry
 from scene_attack.targets.info import TARGETS
 
 _VERSIONED = ("scene-attack", "torch", "numpy", "pyrender-maintained", "PyOpenGL", "trimesh", "OpenEXR", "safetensors")
@@ -85,8 +86,8 @@ def execute(
 
     The files are result.json, trace.json, perturbation.safetensors (one tensor for each group), original.png,
     attacked.png, and perturbation.png (the difference times 5, plus 128); the images of those subsets of the groups
-    that are neither empty nor all (`subset_image`), and those of the changes (`Change.images`); for questions also what
-    the network attends to (`questions`). `progress` is called in every phase and with every row of the trace,
+    that are neither empty nor all (`subset_image`), and those of the changes (`Change.images`); and those of the task
+    (`tasks`). `progress` is called in every phase and with every row of the trace,
     `checked` once before the attack with the spec as it runs and the warnings. The attack writes the file `checkpoint`
     every few seconds and resumes from it.
     Raises InvalidRequest, JobFailure, or Cancelled once `cancelled()`, which is called before every rendering, is true.
@@ -163,7 +164,7 @@ def _write(
     if prepared.spec.analysis != AnalysisRequest():  # it asks for some
         analyses = analyse(Subject(prepared, stored, *ends), prepared.spec.analysis, library, report)
     held = _held_over(prepared, stored, partial(report, "expectation"))
-    verdict, questions = _verdict(prepared, run, attacked, out)
+    verdict, part = _verdict(prepared, run, attacked, out)
     answer_of = partial(answer, labels=prepared.target.labels, goal=settled.goal)
     result = Result(
         spec=prepared.spec.model_dump(mode="json"),
@@ -182,7 +183,7 @@ def _write(
         attribution=of_subsets(rows),
         expectation=held,
         analyses=analyses,
-        questions=questions,
+        tasks={} if part is None else {registry.card(prepared.spec.target.name).task: part},
         trace=run.trace,
         provenance=provenance(prepared),
     )
@@ -237,11 +238,11 @@ def _held_over(prepared: Prepared, stored: Parameters, tick: Callable[[int, int]
 
 def _verdict(
     prepared: Prepared, run: AttackRun, attacked: ScoredImage, out: Path
-) -> tuple[JobVerdict, list[QuestionResult]]:
-    """The verdict, and for a network of questions each question's; what it attends to is written into `out`."""
+) -> tuple[JobVerdict, ResultPart | None]:
+    """The verdict, and what the task adds to the result, whose files are written into `out`."""
     settled, original, labels = prepared.settled, prepared.original, prepared.target.labels
     goal, first = settled.goal, int(original.logits.argmax())
-    outcome, questions = prepared.task.judge(settled, prepared.renderer.name, run.stored, original, attacked, out)
+    outcome, part = prepared.task.judge(settled, prepared.renderer.name, run.stored, original, attacked, out)
     verdict = JobVerdict(
         outcome=outcome,
         truth=[labels[i] for i in settled.truth],
@@ -253,7 +254,7 @@ def _verdict(
         labels_to_leave=[labels[i] for i in goal.leave],
         reach=None if goal.reach is None else labels[goal.reach],
     )
-    return verdict, questions
+    return verdict, part
 
 
 def _stored_change(prepared: Prepared, run: AttackRun, attacked: ScoredImage) -> StoredChange:

@@ -6,7 +6,7 @@ writes it again.
 
 import json
 import typing
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +17,11 @@ from scene_attack.attacks.attack import ATTACKS
 from scene_attack.attacks.request import Expectation
 from scene_attack.rendering.declaration import RENDERERS
 from scene_attack.runs.campaign_spec import CampaignSpec
+from scene_attack.runs.environment import options_to_run
 from scene_attack.runs.spec import JobSpec
-from scene_attack_questions.clevr.records import SceneRecord
+from scene_attack.runs.task_parts import TASKS
+from scene_attack.scenes.source import SOURCES
+from scene_attack.strict import Model
 
 PAGE = Path(__file__).parents[3] / "docs" / "reference" / "fields.md"
 HEAD = """# Fields of requests
@@ -34,10 +37,15 @@ GROUPS = """If a request leaves `method` out, it is the method that this table g
 def page() -> str:
     """The page as Markdown."""
     lines = [HEAD, "", "## Job", ""]
-    shown: set[type[BaseModel]] = {SceneRecord}  # CLEVR's own format
+    shown: set[type[BaseModel]] = set()
     sections = dict(_sections(JobSpec, "", shown))
     for path, model in sections.items():
         lines += [*([f"## `{path}`", ""] if path else []), *_section(model)]
+        if path == "scene":
+            lines += _of_plugins("scene.source", "of the format", SOURCES, shown)
+        if path == "target":
+            asks = {name: task.ask for name, task in TASKS.items() if task.ask is not None}
+            lines += _of_plugins("target.ask", "of a network whose task is", asks, shown)
         if path == "goal":
             lines += _attacks()
     lines += ["## Renderers and their parameter groups", "", GROUPS, ""]
@@ -45,6 +53,9 @@ def page() -> str:
     lines += ["## Campaign", ""]
     for path, model in _sections(CampaignSpec, "", shown):
         lines += [*([f"## `{path}`", ""] if path else []), *_section(model)]
+        if path == "grids[]":
+            cases = {name: task.cases for name, task in TASKS.items() if task.cases is not None}
+            lines += _of_plugins("grids[].generate", "of networks whose task is", cases, shown)
     return "\n".join(lines).rstrip() + "\n"
 
 
@@ -69,6 +80,18 @@ def _models(annotation: Any, several: bool = False) -> Iterator[tuple[bool, type
 
 def _section(model: type[BaseModel]) -> list[str]:
     return [" ".join((model.__doc__ or "").split()), "", *_fields(model)]
+
+
+def _of_plugins(
+    path: str, of: str, models: Mapping[str, type[BaseModel]], shown: set[type[BaseModel]]
+) -> Iterator[str]:
+    """The fields that each plug-in has for a field of the request."""
+    for name, model in models.items():
+        (_, _), *parts = _sections(model, path, shown)
+        yield from (f"## `{path}` {of} `{name}`", "", *_section(model))
+        for part, inner in parts:
+            if issubclass(inner, Model):  # the others are another program's own format
+                yield from (f"## `{part}`", "", *_section(inner))
 
 
 def _attacks() -> Iterator[str]:
@@ -133,4 +156,5 @@ def _holds_models(value: object) -> bool:
 
 
 if __name__ == "__main__":
+    options_to_run()  # loads the plug-ins, whose fields are on the page
     PAGE.write_text(page(), "utf-8")

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 @register_task("classification")
 def classification(spec: JobSpec, network: Target, asked: AskedGoal) -> Task:
-    """The task of a job; see `scene_attack.runs.classification.classification`."""
-    from scene_attack.runs import classification
+    """The task of a job; see `scene_attack.runs.classification.seen`."""
+    from scene_attack.runs.classification import seen
 
-    return classification.classification(spec, network, asked)
+    return seen(spec, network, asked)

@@ -33,7 +33,8 @@ from scene_attack.runs import classification
 from scene_attack.runs.described import can_carry
 from scene_attack.runs.result import JobPlan
 from scene_attack.runs.spec import AskedGoal, JobSpec, asked_goal
-from scene_attack.runs.task import TASKS, Settled, Task
+from scene_attack.runs.task import Settled, Task
+from scene_attack.runs.task_parts import TASKS, Part
 from scene_attack.scenes.description import Environment
 from scene_attack.scenes.library import Library
 from scene_attack.scenes.resolve import ResolvedScene, resolve
@@ -41,7 +42,6 @@ from scene_attack.targets import registry
 from scene_attack.targets.info import TARGETS
 from scene_attack.targets.protocol import Target
 from scene_attack.text import there_are
-from scene_attack_questions.given_scene import check_scene
 
 SURROGATE = "attack.surrogate"
 
@@ -88,7 +88,7 @@ def prepare_exactly(spec: JobSpec, library: Library) -> Prepared:
 
 
 def plan(spec: JobSpec, library: Library) -> JobPlan:
-    """Returns the plan that a job would run, with its questions and what limits its search.
+    """Returns the plan that a job would run, with what limits its search and what its task adds.
 
     Raises what `prepare` does.
     """
@@ -96,8 +96,14 @@ def plan(spec: JobSpec, library: Library) -> JobPlan:
 
 
 def plan_of(prepared: Prepared) -> JobPlan:
-    """Returns the plan of a prepared job, with its questions."""
-    return JobPlan.model_validate(prepared.plan().model_dump() | {"questions": prepared.task.stated()})
+    """Returns the plan of a prepared job, with what its task adds."""
+    return JobPlan.model_validate(prepared.plan().model_dump() | {"tasks": tasks_of_plan(prepared)})
+
+
+def tasks_of_plan(prepared: Prepared) -> dict[str, Part]:
+    """What the task of a prepared job adds to its plan, by the task's name."""
+    part = prepared.task.plan()
+    return {} if part is None else {registry.card(prepared.spec.target.name).task: part}
 
 
 def prepare(spec: JobSpec, library: Library) -> Prepared:
@@ -191,15 +197,16 @@ def _collected(wrong: list[InvalidRequest]) -> Iterator[None]:
 def task_of(spec: JobSpec, network: Target, asked: AskedGoal) -> Task:
     """Returns the task of a request, given its goal in the network's labels.
 
-    Raises InvalidRequest for a task that is not installed, and as `check_scene` and the task do.
+    Raises InvalidRequest for a task that is not installed, and as the scene's source and the task do.
     """
-    if spec.record is not None:
-        check_scene(spec.scene, spec.record)
+    if spec.scene.source is not None:
+        spec.scene.source.check(spec.scene)
     name = registry.card(spec.target.name).task
     if name not in TASKS:
         detail = f"the task of {spec.target.name} is {name!r}, which no installed plug-in has; {there_are(name, TASKS)}"
         raise InvalidRequest("target.name", detail)
-    return TASKS[name](spec, network, asked)
+    task: Task = TASKS[name].make(spec, network, asked)
+    return task
 
 
 def check_analysis(spec: JobSpec) -> None:
@@ -209,10 +216,6 @@ def check_analysis(spec: JobSpec) -> None:
     if spec.analysis.adaptive is not None and not registry.has_gradient(spec.target.name):
         detail = f"it needs gradients, and the scores of {spec.target.name} have none with respect to the image"
         raise InvalidRequest("analysis.adaptive", detail)
-    if spec.target.questions:
-        for name in ("transfer", "interpretation", "rerendering", "adaptive"):
-            if getattr(spec.analysis, name) is not None:
-                raise InvalidRequest(f"analysis.{name}", "it asks one question, and there are several; leave it out")
     asked = spec.analysis.transfer
     if asked is None:
         return

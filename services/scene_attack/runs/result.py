@@ -1,12 +1,11 @@
 """The records of a job. No torch is needed, so that the API can read them.
 
 Before it runs: its warnings (`JobWarning`), its plan as `scene-attack plan` prints it (`JobPlan`), and its preview.
-Once it has ended: `Result`, which is `result.json`, the API's `result`, and the content of the dashboard's job page; it
-has a `QuestionResult` for each question. `Outcome` is the part of a result that lists and tables of jobs show.
+Once it has ended: `Result`, which is `result.json`, the API's `result`, and the content of the dashboard's job page.
+`Outcome` is the part of a result that lists and tables of jobs show.
 """
 
 import operator
-from collections.abc import Sequence
 from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -17,6 +16,7 @@ from scene_attack.attacks.trace import AttackCost, TraceRow
 from scene_attack.rendering.physical_change import Change
 from scene_attack.rendering.plan import ImageError, Plan
 from scene_attack.runs.spec import JobSpec
+from scene_attack.runs.task_parts import PlanParts, ResultPart, ResultParts
 
 LOW_CONFIDENCE = 0.5
 """Confidence of the first answer below which a job is warned of it: all other labels together are as probable."""
@@ -76,84 +76,16 @@ def subset_image(row: int) -> str:
     return f"subset-{row}.png"
 
 
-ATTENTION = "attention.safetensors"
-"""Masks of the functions, float32 [h, w] in [0,1]; "0.3.before" is of function 3 of question 0."""
-CHANGED = 0.5
-"""Least change of a mask at a cell that counts as another object attended to: such a cell goes from 0 to 1 or back."""
-
-
-class Attended(BaseModel):
-    """The files that show what a function of a program attends to: grey images, white where an object of its set is."""
-
-    model_config = ConfigDict(extra="forbid")
-
-    node: int = Field(description="the function's number in the program, from 0")
-    before: str
-    after: str
-    change: float = Field(
-        description="sum over the cells of the absolute difference of the two masks: an object that enters or leaves "
-        "the set changes it by about 1, as a mask is high in about one cell for each object"
-    )
-    cell_change: float = Field(
-        description="largest absolute difference of the two masks at a cell, in [0,1]: about 1 if an object enters or "
-        "leaves the set, and small if many cells change a little"
-    )
-
-
-class Asked(BaseModel):
-    """A question about an image, and its right answer."""
-
-    model_config = ConfigDict(extra="forbid")
-
-    question: str | None = Field(description="the question in words; null if its program was given")
-    program: list[dict[str, object]] = Field(description="as in CLEVR's question files")
-    kind: str = Field(description="what the program asks for: boolean, integer, shape, size, color or material")
-    right: str = Field(description="the right answer, by the scene's record")
-
-
-class QuestionResult(Asked):
-    """A question and its answers to the original and the attacked image."""
-
-    right_after: str | None = Field(
-        description="the right answer to the attacked scene, recomputed from its parameters; null if the question is "
-        "ill-posed there. The outcome is judged by it"
-    )
-    before: Answer = Field(description="the network's answer to the original image")
-    after: Answer = Field(description="the network's answer to the attacked image")
-    before_of_kind: bool = Field(description="whether the answer before is of the kind that is asked for")
-    after_of_kind: bool = Field(description="whether the answer after is")
-    outcome: Verdict = Field(description="what the attack came to on this question")
-    attention: list[Attended] = Field(
-        description=f"of the functions whose result is a set or an object; the masks themselves are in {ATTENTION}"
-    )
-
-
-def first_changed(attention: Sequence[Attended]) -> Attended | None:
-    """Returns the first function, in the program's order, whose mask changed by `CHANGED` or more at a cell.
-
-    None if there is none. The functions before it attend to the same objects in both images.
-    """
-    return next((attended for attended in attention if attended.cell_change >= CHANGED), None)
-
-
-def most_changed(attention: Sequence[Attended]) -> Attended | None:
-    """Returns the function with the largest `change`, the first of equal ones; None if no attention changed."""
-    most = max(attention, key=lambda attended: attended.change, default=None)
-    return most if most is not None and most.change > 0 else None
-
-
 class JobPlan(Plan):
-    """The renderer's plan of a job, with what limits its search, and its questions."""
+    """The renderer's plan of a job, with what limits its search, and what its task adds."""
 
-    questions: tuple[Asked, ...] = Field(
-        (), exclude_if=operator.not_, description="the questions about the image, with their programs"
-    )
+    tasks: PlanParts = Field({}, exclude_if=operator.not_, description="what the network's task adds, by its name")
 
 
 class FirstAnswer(_Record):
     """The network's answer to the scene before the attack."""
 
-    question: str | None = Field(description="the question, in words or as its program; null for a network without one")
+    asked: str | None = Field(description="what was asked, in words; null where nothing is but what is seen")
     answer: Answer
 
 
@@ -161,7 +93,7 @@ class Preview(_Record):
     """A request as it would run, and the network's answers to the image of its scene."""
 
     spec: JobSpec = Field(description="the request with the values of all fields filled in")
-    answers: tuple[FirstAnswer, ...] = Field(description="one answer; of several questions one for each")
+    answers: tuple[FirstAnswer, ...] = Field(description="one answer; where several things are asked, one for each")
     warnings: tuple[JobWarning, ...] = Field(description="those that a job of this request would have")
 
 
@@ -302,9 +234,7 @@ class Result(_Record):
         None, description="the share of the attack's range of views, light and noise for which the adversary holds"
     )
     analyses: Analyses = Field(Analyses(), description="the analyses that the request asked for")
-    questions: list[QuestionResult] = Field(
-        [], exclude_if=operator.not_, description="the questions about the image, their programs and their answers"
-    )
+    tasks: ResultParts = Field({}, exclude_if=operator.not_, description="what the network's task adds, by its name")
     trace: list[TraceRow]
     provenance: Provenance
 
@@ -343,8 +273,8 @@ class Outcome(BaseModel):
     answers: list[tuple[str, str]] = Field(
         [],
         exclude_if=operator.not_,
-        description="of several questions attacked together: the answers to each, before and after; `before` and "
-        "`after` then say whether all of them have left",
+        description="of several answers attacked together: each before and after; `before` and `after` then say "
+        "whether all of them have left",
     )
     float_perceptibility: float = Field(description="p of the image before rounding, the paper's")
     perceptibility: float = Field(description="p of the image as saved, of 8 bits")
@@ -383,9 +313,7 @@ def outcome(result: Result) -> dict[str, Any]:
         before_confidence=result.original.confidence,
         after=result.attacked.label,
         after_confidence=result.attacked.confidence,
-        answers=[(question.before.label, question.after.label) for question in result.questions]
-        if len(result.questions) > 1
-        else [],
+        answers=[pair for part in result.tasks.values() if isinstance(part, ResultPart) for pair in part.answers],
         float_perceptibility=change.float_perceptibility,
         perceptibility=change.perceptibility,
         perceptibility_limit=request["attack"].get("perceptibility"),

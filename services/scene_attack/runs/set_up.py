@@ -19,7 +19,8 @@ from scene_attack.plugins import NAME, load, loaded_plugins
 from scene_attack.process import use
 from scene_attack.rendering.declaration import RENDERERS
 from scene_attack.runs.field_errors import invalid_fields
-from scene_attack.runs.task import TASKS
+from scene_attack.runs.task_parts import TASKS
+from scene_attack.scenes.source import SOURCES
 from scene_attack.strict import NotJson, read_json
 from scene_attack.targets.architectures import ARCHITECTURES
 from scene_attack.targets.custom.card import NOTHING, AllowList, Card
@@ -74,7 +75,7 @@ def set_up(options: Options) -> None:
     global _loaded
     use(options)
     if _loaded is None:
-        load((ATTACKS, RENDERERS, TARGETS, ARCHITECTURES, TASKS), options.without_plugins)
+        load((ATTACKS, RENDERERS, TARGETS, ARCHITECTURES, SOURCES, TASKS), options.without_plugins)
         _loaded = _Loaded(options, register_folders(options.target_folder, AllowList.of(options)))
     for name in LOADED_ONCE:
         if getattr(options, name) != getattr(_loaded.options, name):

@@ -6,19 +6,15 @@ after it name a request in lists and tables. `RerenderingSpec` is the request of
 needed, so that a request is checked before it is queued.
 """
 
-import json
-import operator
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from hashlib import sha256
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeVar, Union
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, Union
 
 from pydantic import (
-    AliasChoices,
     BaseModel,
-    ConfigDict,
     Field,
     GetCoreSchemaHandler,
     GetJsonSchemaHandler,
@@ -39,16 +35,14 @@ from scene_attack.rendering.declaration import RENDERERS
 from scene_attack.rendering.plan import DEFAULT_TOLERANCE
 from scene_attack.rendering.torch.declaration import check_preset
 from scene_attack.runs.field_errors import invalid_fields
-from scene_attack.scenes.description import Model, Scene, absent
+from scene_attack.runs.task_parts import AnyAsk, Ask
+from scene_attack.scenes.description import Scene
 from scene_attack.scenes.library import Library
-from scene_attack.strict import Names, reference, unknown_parts
+from scene_attack.strict import Model, Names, absent, reference, unknown_parts
 from scene_attack.targets.download import check_obtainable
 from scene_attack.targets.info import LONGEST_LABEL, TARGETS, TargetInfo
 from scene_attack.targets.labels import labels, same_labels
 from scene_attack.text import closest, did_you_mean
-from scene_attack_questions.clevr.description import Generate, scene_of
-from scene_attack_questions.clevr.records import SceneRecord
-from scene_attack_questions.program import FUNCTIONS, MAX_NODES, TYPE_WORDS, InvalidProgram, Program, written
 
 
 def _validated(data: Any, names: Names | None) -> Attack:
@@ -122,123 +116,17 @@ AnyTolerance = Annotated[float, Field(ge=1e-6, le=0.1, allow_inf_nan=False)] | L
 DEFAULT_TARGET = "efficientnet-lite0"
 
 
-MOST_TEXT = 1000
-"""Characters of a question."""
-MOST_TOGETHER = 16
-"""Questions about one image that are attacked together."""
-Word = Annotated[str, Field(max_length=40)]
-
-
-class Call(Model):
-    """A function of a question's program, as in CLEVR's question files; its generator's words for the fields count."""
-
-    function: Word = Field(
-        validation_alias=AliasChoices("function", "type"), description="a function of the language, e.g. `filter_color`"
-    )
-    inputs: tuple[int, ...] = Field(
-        default=(), max_length=8, description="numbers of the earlier functions whose outputs it takes, from 0"
-    )
-    value_inputs: tuple[Word, ...] = Field(
-        default=(),
-        max_length=8,
-        validation_alias=AliasChoices("value_inputs", "side_inputs"),
-        description='its values, e.g. ["red"]',
-    )
-
-
-Calls = Annotated[tuple[Call, ...], Field(max_length=MAX_NODES)]
-Text = Annotated[str, Field(max_length=MOST_TEXT)]
-
-
-def program(calls: tuple[Call, ...]) -> Program:
-    """Returns the program of a request. Raises ValueError, which names the first invalid function by its number."""
-    parsed = Program.read([call.model_dump() for call in calls])
-    try:
-        parsed.check()
-    except InvalidProgram as error:
-        raise ValueError(error.detail if error.node is None else f"{error.node}: {error.detail}") from error
-    return parsed
-
-
-def with_scene(data: dict[str, Any]) -> dict[str, Any]:
-    """Fills in the scene of a request that gives it as CLEVR does: by a `record`, or by what to `generate`.
-
-    Raises ValueError, which begins with the field that is wrong, and pydantic's error for fields of a wrong type.
-    """
-    if data.get("generate") is not None:
-        if others := [name for name in ("scene", "record") if data.get(name) is not None]:
-            raise InvalidRequest("generate", f"leave it out where {others[0]} is given")
-        generator = _Asked.model_validate({"generate": data["generate"]}).generate
-        assert generator is not None
-        data = {**data, "generate": None, "record": generator.record()}
-    if data.get("record") is not None and data.get("scene") is None:
-        record = _Asked.model_validate({"record": data["record"]}).record
-        assert record is not None
-        data = {**data, "record": record, "scene": scene_of(record)}
-    return data
-
-
-class _Asked(Model):
-    record: SceneRecord | None = None
-    generate: Generate | None = None
-
-
 class TargetChoice(Model):
-    """The network under attack and, if it answers questions about images, the question."""
+    """The network under attack and, if its task is asked something, what."""
 
     name: Annotated[str, reference("target")] = Field(
         default=DEFAULT_TARGET, min_length=1, max_length=100, description="a name that `GET /v1/targets` lists"
     )
-    question: Text | Calls | None = Field(
+    ask: AnyAsk | None = Field(
         default=None,
-        description="the question, for targets that take one: in words, or its program as in CLEVR's files",
+        exclude_if=absent,
+        description="what the network is asked about the image, if it is asked anything",
     )
-    questions: tuple[Text | Calls, ...] = Field(
-        default=(),
-        max_length=MOST_TOGETHER,
-        exclude_if=operator.not_,
-        description="in place of `question`, several about the same image, whose answers are attacked together",
-    )
-
-    @field_validator("question")
-    @classmethod
-    def _valid_program(cls, value: Any) -> Any:
-        if isinstance(value, tuple):
-            program(value)
-        return value
-
-    @field_validator("questions")
-    @classmethod
-    def _valid_programs(cls, value: tuple[Any, ...]) -> Any:
-        for number, question in enumerate(value):
-            if isinstance(question, tuple):
-                try:
-                    program(question)
-                except ValueError as error:
-                    node, colon, detail = str(error).partition(": ")
-                    message = f"{number}.{node}: {detail}" if colon else f"{number}: {error}"
-                    raise ValueError(message) from error
-        return value
-
-    @model_validator(mode="after")
-    def _one_or_several(self) -> Self:
-        if self.questions and self.question is not None:
-            raise ValueError("questions: give either `question` or `questions`")
-        return self
-
-    @property
-    def asked(self) -> str | None:
-        """The question as targets take it, one text: its words, or its program as JSON."""
-        return None if self.question is None else _asked(self.question)
-
-    @property
-    def together(self) -> tuple[str, ...]:
-        """`questions` as targets take them."""
-        return tuple(map(_asked, self.questions))
-
-
-def _asked(question: str | tuple[Call, ...]) -> str:
-    return written(program(question)) if isinstance(question, tuple) else question
 
 
 MAX_LABELS = 1000
@@ -275,12 +163,6 @@ class Goal(Model):
         allow_inf_nan=False,
         description="least probability of the new answer for the goal to be met",
     )
-    leave_kind: bool = Field(
-        default=False,
-        exclude_if=operator.not_,
-        description="of a question: the new answer must be of another kind than the question asks for, such as `yes` "
-        "to a question about a shape",
-    )
 
     @field_validator("leave")
     @classmethod
@@ -290,30 +172,10 @@ class Goal(Model):
         return value
 
 
-def _scene_may_follow(schema: dict[str, Any]) -> None:
-    del schema["required"]  # it is the only field without a default
-
-
 class JobSpec(Model):
-    """One attack on one scene. Every field but the scene's objects has a default; the stored spec states all values.
-
-    The scene may be given as CLEVR does, by `record` or `generate`; it is then filled in.
-    """
-
-    model_config = ConfigDict(json_schema_extra=_scene_may_follow)
+    """One attack on one scene. Every field but the scene's objects has a default; the stored spec states all values."""
 
     scene: Scene
-    record: SceneRecord | None = Field(
-        default=None,
-        exclude_if=absent,
-        description="the scene in CLEVR's own format, from whose objects the right answer follows; `scene` may then "
-        "be left out",
-    )
-    generate: Generate | None = Field(
-        default=None,
-        exclude_if=absent,
-        description="a scene after CLEVR to make, in place of `scene` and `record`, which are filled in",
-    )
     target: TargetChoice = TargetChoice()
     goal: Goal = Goal()
     attack: AnyAttack = Field(default_factory=lambda: ATTACKS[_method_for({})].model_validate({}))
@@ -327,18 +189,6 @@ class JobSpec(Model):
         description="analyses of the stored perturbation to make after the attack; default none",
     )
     seed: Seed = Field(default=0, description="seed of every random number in the job")
-
-    @field_validator("record")
-    @classmethod
-    def _writable(cls, value: SceneRecord | None) -> SceneRecord | None:
-        """Refuses a record that JSON cannot hold: its texts and the fields of others may be anything that was read."""
-        try:
-            if value is not None:
-                json.dumps(value.model_dump(mode="json"), ensure_ascii=False, allow_nan=False).encode()
-        except (ValueError, RecursionError) as error:
-            detail = "it has a text that is no Unicode, a number that is not finite, or is nested too deep"
-            raise ValueError(detail) from error
-        return value
 
     @field_validator("target", mode="before")
     @classmethod
@@ -357,8 +207,6 @@ class JobSpec(Model):
     @model_validator(mode="before")
     @classmethod
     def _filled_in(cls, data: Any) -> Any:
-        if isinstance(data, dict):
-            data = with_scene(data)
         if isinstance(data, dict) and "attack" in data:
             data = data | {"attack": with_method(data["attack"])}
         return data
@@ -382,10 +230,10 @@ def _method_for(attack: Mapping[str, Any]) -> str:
 def check_labels(goal: Goal, targets: Iterable[TargetChoice]) -> None:
     """Raises ValidationError with the labels of a goal that one of the targets does not have.
 
-    Several questions have answers of their own, and a target's labels may not be listed: both are refused elsewhere.
+    A target whose labels are not listed is refused elsewhere.
     """
     for choice in targets:
-        if choice.name in TARGETS and not choice.questions:
+        if choice.name in TARGETS:
             target = TARGETS[choice.name]
             try:
                 asked_goal(goal, target.info, labels(choice.name))
@@ -541,19 +389,20 @@ def scene_name(spec: Mapping[str, Any], titles: Mapping[str, str] | None = None)
     return ", ".join(_mesh_name(str(thing["mesh"]), titles or {}) for thing in spec["scene"]["objects"])
 
 
-def question_names(spec: Mapping[str, Any]) -> list[str]:
-    """The questions of a full spec: their words, or "A program of 9 functions that asks for a number"."""
-    target = spec["target"]
-    asked = [*([] if target.get("question") is None else [target["question"]]), *target.get("questions", ())]
-    return [question if isinstance(question, str) else _program_name(question) for question in asked]
+def asked_of(spec: Mapping[str, Any]) -> Ask | None:
+    """What a full spec asks of its network; None for nothing, and for what another version, or a task that is not
+    installed, was asked.
+    """
+    try:
+        return TargetChoice.model_validate(spec["target"]).ask
+    except ValidationError:
+        return None
 
 
 def job_name(spec: Mapping[str, Any], titles: Mapping[str, str] | None = None) -> str:
-    """The question of a full spec, "4 questions about one image", or `scene_name` if it has none."""
-    questions = question_names(spec)
-    if len(questions) > 1:
-        return f"{len(questions)} questions about one image"
-    return questions[0] if questions else scene_name(spec, titles)
+    """The name of what a full spec asks, or `scene_name` if it asks nothing."""
+    asked = asked_of(spec)
+    return asked.name if asked is not None and asked.names else scene_name(spec, titles)
 
 
 def group_words(spec: Mapping[str, Any], group: str) -> str:
@@ -582,11 +431,6 @@ def attack_name(spec: Mapping[str, Any]) -> str:
 
 def _mesh_name(mesh: str, titles: Mapping[str, str]) -> str:
     return titles.get(mesh, mesh[:14]) if mesh.startswith("sha256:") else mesh.rpartition("/")[2]
-
-
-def _program_name(calls: Sequence[Mapping[str, Any]]) -> str:
-    functions = "1 function" if len(calls) == 1 else f"{len(calls)} functions"
-    return f"A program of {functions} that asks for {TYPE_WORDS[FUNCTIONS[calls[-1]['function']].output]}"
 
 
 SENT_IMAGE = "image"

@@ -8,7 +8,9 @@ from pydantic import BaseModel, Field
 
 from scene_attack.rendering.color import from_bytes
 from scene_attack.runs.prepare import prepare_exactly
-from scene_attack.runs.spec import parse
+from scene_attack.runs.spec import TargetChoice, parse
+from scene_attack.runs.task_parts import Member, models_of
+from scene_attack.scenes.description import Scene
 from scene_attack.scenes.library import Library
 from scene_attack.targets import registry
 from scene_attack.targets.info import TargetInfo
@@ -34,7 +36,7 @@ class TargetCheck(BaseModel):
     weights_sha256: str
     backend: str
     mesh: str | None = Field(description="the mesh that was shown; null if it was a generated scene after CLEVR")
-    question: str | None = Field(description="the question that was asked; null for a target that takes none")
+    asked: str | None = Field(description="what it was asked, in words; null for a target that is asked nothing")
     answers: list[TopAnswer] = Field(description="the most probable labels of its view, the most probable first")
     gradient: bool = Field(description="whether scores have a gradient with respect to the image")
     no_gradient: str | None = Field(description="the reason for which they have none")
@@ -44,16 +46,16 @@ class TargetCheck(BaseModel):
 def check(name: str, mesh: str, library: Library, report: Callable[[str], None] = lambda _: None) -> TargetCheck:
     """Loads the target and shows it a view of the mesh from the default camera. `report` is given each phase's name.
 
-    A target that answers questions about scenes after CLEVR is shown a generated one in place of the mesh. One that
-    takes a question is asked that of its card. Raises InvalidRequest and JobFailure, as preparing a job does.
+    A target that is asked something is asked the example of its task, about a scene of the task's own if it has one.
+    Raises InvalidRequest and JobFailure, as preparing a job does.
     """
     report("loading the network and rendering a view")
     card = registry.card(name)
-    question = card.example or registry.ANY_QUESTION if card.takes_question else None
-    generated = card.vocabulary == "clevr"
-    scene = {"generate": {}} if generated else {"scene": {"objects": [{"mesh": mesh}]}}
-    asked = {"target": {"name": name, "question": question}, "attack": {"renderer": "pyrender"}}
-    prepared = prepare_exactly(parse(scene | asked), library)
+    scene = Scene.model_validate({"objects": [{"mesh": mesh}]})
+    shown = next((ask.example(card, scene) for ask in models_of("ask", name)), Member(scene))
+    target_of = TargetChoice(name=name, ask=shown.ask)
+    attack = {"renderer": "pyrender"}
+    prepared = prepare_exactly(parse({"scene": shown.scene, "target": target_of, "attack": attack}), library)
     target = prepared.target
     probabilities = torch.softmax(prepared.original.logits.double(), dim=-1)
     best = probabilities.topk(min(_TOP, len(target.labels)))
@@ -68,8 +70,8 @@ def check(name: str, mesh: str, library: Library, report: Callable[[str], None] 
         target=card,
         weights_sha256=target.weights_sha256,
         backend=target.backend,
-        mesh=None if generated else mesh,
-        question=question,
+        mesh=mesh if shown.scene is scene else None,
+        asked=None if shown.ask is None else shown.ask.name,
         answers=[
             TopAnswer(label=target.labels[int(index)], probability=float(value))
             for value, index in zip(best.values, best.indices, strict=True)

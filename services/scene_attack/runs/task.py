@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
-from scene_attack.plugins import Registry
+from scene_attack.runs.task_parts import TASKS, Ask, Cases, Part, RegisteredTask, ResultPart
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from scene_attack.attacks.goal import ResolvedGoal
     from scene_attack.attacks.limits import Constraint
     from scene_attack.rendering.protocol import Parameters
-    from scene_attack.runs.result import Asked, FirstAnswer, JobWarning, QuestionResult
+    from scene_attack.runs.result import FirstAnswer, JobWarning
     from scene_attack.runs.spec import AskedGoal, Goal, JobSpec
     from scene_attack.targets.protocol import Target
 
@@ -44,7 +44,7 @@ class Task(Protocol):
 
     @property
     def target(self) -> Target:
-        """The network under attack, with its question if it takes one."""
+        """The network under attack, with what it is asked."""
         ...
 
     def settle(self, original: Tensor, logits: Tensor) -> Settled:
@@ -58,18 +58,18 @@ class Task(Protocol):
         """The limits of the search beside those of the request; `initial` are the attacked groups' values."""
         ...
 
-    def stated(self) -> tuple[Asked, ...]:
-        """The questions with their programs and right answers, as plans and results state them."""
+    def plan(self) -> Part | None:
+        """What the task adds to a plan, a `RegisteredTask.plan`; None for nothing."""
         ...
 
     def first_answers(self, original: Tensor, logits: Tensor, goal: ResolvedGoal) -> tuple[FirstAnswer, ...]:
-        """The answers to the original image, one for each question."""
+        """The answers to the original image, one for each thing that is asked."""
         ...
 
     def judge(
         self, settled: Settled, renderer: str, stored: Parameters, before: ScoredImage, after: ScoredImage, out: Path
-    ) -> tuple[Verdict, list[QuestionResult]]:
-        """Returns the outcome of the attack and the records of the questions, whose files are written into `out`.
+    ) -> tuple[Verdict, ResultPart | None]:
+        """Returns the outcome of the attack and what the task adds to the result, whose files are written into `out`.
 
         `stored` is the perturbation, drawn by `renderer`; `before` and `after` are the exact images without and with
         it. The outcome follows from the truth, the answers before and after, and whether the goal is met.
@@ -80,14 +80,25 @@ class Task(Protocol):
 MakeTask = Callable[["JobSpec", "Target", "AskedGoal"], Task]
 """Makes the task of a job, given the loaded network and the goal in its labels. Raises InvalidRequest, which names the
 field, for a request that asks what the network cannot answer."""
-TASKS: Registry[MakeTask] = Registry("task", ["scene_attack.runs.own_task"])
 
 
-def register_task(name: str) -> Callable[[MakeTask], MakeTask]:
-    """Returns a decorator of the function that makes the task of a job. Raises ValueError for a name that is taken."""
+def register_task(
+    name: str,
+    *,
+    ask: type[Ask] | None = None,
+    cases: type[Cases] | None = None,
+    plan: type[Part] | None = None,
+    result: type[ResultPart] | None = None,
+) -> Callable[[MakeTask], MakeTask]:
+    """Returns a decorator of the function that makes the task of a job.
+
+    The models are those of what the task adds to a request (`target.ask`), to a campaign's grid (`generate`), to a plan
+    and to a result (`tasks[name]`); without one a request that has the field is refused. Raises ValueError for a name
+    that is taken.
+    """
 
     def decorate(make: MakeTask) -> MakeTask:
-        TASKS.add(name, make)
+        TASKS.add(name, RegisteredTask(make, ask, cases, plan, result))
         return make
 
     return decorate

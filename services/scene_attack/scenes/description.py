@@ -19,10 +19,13 @@ from pydantic import (
     ValidatorFunctionWrapHandler,
     WrapValidator,
     field_validator,
+    model_validator,
 )
 
+from scene_attack.errors import below
 from scene_attack.scenes.mesh_arrays import MeshArrays
-from scene_attack.strict import Several, Strict, reference
+from scene_attack.scenes.source import AnySource
+from scene_attack.strict import Model, Several, absent, reference
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Unit = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
@@ -53,17 +56,6 @@ MAX_PICTURE = 400_000
 """Largest number of characters of a picture in base64: a file of 300 kB."""
 METALLIC = "0: plastic, 1: metal (pyrender, by glTF's metallic-roughness BRDF)"
 ROUGHNESS = "0: smooth, 1: rough (pyrender, by the same BRDF); below 0.04 it is drawn as 0.04"
-
-
-class Model(Strict):
-    """Base class of every part of a request: strict, frozen, without unknown fields."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-def absent(value: object) -> bool:
-    """Whether an optional field was not given, so that a description leaves it out, as before there was the field."""
-    return value is None
 
 
 class Camera(Model):
@@ -306,9 +298,24 @@ class Background(Model):
     )
 
 
-class Scene(Model):
-    """A complete scene. Only `objects` has no default."""
+class _Sourced(Model):
+    source: AnySource
 
+
+def _objects_may_follow(schema: dict[str, Any]) -> None:
+    del schema["required"]  # it is the only field without a default
+
+
+class Scene(Model):
+    """A complete scene. Only `objects` has no default; with a `source`, what is left out follows from it."""
+
+    model_config = ConfigDict(json_schema_extra=_objects_may_follow)
+
+    source: AnySource | None = Field(
+        default=None,
+        exclude_if=absent,
+        description="the scene as another program describes it, from which the other fields follow",
+    )
     camera: Camera = Camera()
     objects: Several[SceneObject] = Field(min_length=1, max_length=16)
     floor: Floor | None = Field(
@@ -327,6 +334,18 @@ class Scene(Model):
         exclude_if=absent,
         description="a picture or the environment map in place of `ground`; null: neither",
     )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_its_source(cls, data: Any, info: ValidationInfo) -> Any:
+        if not isinstance(data, dict) or data.get("source") is None:
+            return data
+        # its errors are those of the field
+        source = _Sourced.model_validate({"source": data["source"]}, context=info.context).source
+        with below("source"):
+            source = source.filled_in()
+            follows = {} if "objects" in data else source.follows()
+        return {**follows, **data, "source": source}
 
     @field_validator("ground")
     @classmethod

@@ -331,7 +331,8 @@ def resolve(scene: Scene, library: Library) -> ResolvedScene:
     light = scene.lights.environment
     source = _environment(library, scene)
     models = tuple(model_matrix(placed) for placed in scene.objects)
-    sha256 = fingerprint(scene, [*(mesh.sha256 for mesh in meshes), source.sha256])
+    drawn = scene.model_copy(update={"source": None})  # which says again what the other fields say
+    sha256 = fingerprint(drawn, [*(mesh.sha256 for mesh in meshes), source.sha256])
     scene = _standing(scene, meshes, models)
     view = camera_to_world(scene.camera)
     lens = projection(scene.camera, _far(scene, view))

@@ -49,6 +49,10 @@ class TargetInfo(BaseModel):
     """SHA-256 (hex) of the bytes of `card.json`, for a network that a user brings."""
 
 
+ANY_QUESTION = "What is this?"
+"""The question to a target whose card has no example of one."""
+
+
 def shipped(file: str) -> Path:
     """Path of a file of weights that ships with the project."""
     return Path(__file__).with_name("weights") / file

@@ -12,14 +12,12 @@ from torch import Tensor
 
 from scene_attack.errors import InvalidRequest
 from scene_attack.process import finite
-from scene_attack.targets.info import TARGETS, TargetInfo, known, register
+from scene_attack.targets.info import ANY_QUESTION, TARGETS, TargetInfo, known, register
 from scene_attack.targets.labels import in_words, labels, refused
 from scene_attack.targets.protocol import QuestionTarget, Target
 
-__all__ = ["ANY_QUESTION", "card", "has_gradient", "labels", "load", "no_gradient", "registered", "with_question"]
+__all__ = ["card", "has_gradient", "labels", "load", "no_gradient", "registered", "with_question"]
 
-ANY_QUESTION = "What is this?"
-"""The question to a target whose card has no example of one."""
 _REPEATED = 0.01
 """Largest difference between two scores of one image, relative to the largest score. Another batch changes the last
 bits of a sum; dropout, or batch normalisation over the batch, changes far more."""

@@ -8,24 +8,13 @@ of the record: no attack changes an object's mesh, scale or surface.
 """
 
 from math import atan2, cos, degrees, dist, hypot, pi, radians, remainder, sin
-from typing import Annotated
 
-from pydantic import Field, ValidationError
+from pydantic import ValidationError
 
 from scene_attack.errors import InvalidRequest, below
-from scene_attack.scenes.description import (
-    Camera,
-    Environment,
-    Floor,
-    Lights,
-    Model,
-    PointLight,
-    Scene,
-    SceneObject,
-    Shadows,
-)
+from scene_attack.scenes.description import Camera, Environment, Floor, Lights, PointLight, Scene, SceneObject, Shadows
 from scene_attack.scenes.mesh import FIT_RADIUS
-from scene_attack_questions.clevr.generator import MAX_OBJECTS, check, generate
+from scene_attack_questions.clevr.generator import MAX_OBJECTS, check
 from scene_attack_questions.clevr.records import (
     IMAGE_SIZE,
     RELATIONS,
@@ -188,19 +177,6 @@ DIRECTION = 1e-3
 """Largest difference of a component of a stated direction from the camera's. Official files are off by up to 1e-4."""
 _FIELDS = {"Camera": "camera.position", "PointLight": "lights", "SceneObject": "objects"}
 """The parts of a description, and the fields of a record that they follow from."""
-
-
-class Generate(Model):
-    """A scene after CLEVR for the generator to make."""
-
-    seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = Field(0, description="seed of the generator")
-    index: Annotated[int, Field(ge=0, le=2**63 - 1)] = Field(0, description="number of the scene among those of a seed")
-    objects: Annotated[int, Field(ge=1, le=MAX_OBJECTS)] = Field(5, description="number of objects")
-
-    def record(self) -> SceneRecord:
-        """Returns the scene. Raises InvalidRequest("generate.objects") if so many objects do not fit."""
-        with below("generate"):
-            return generate(self.seed, self.index, objects=(self.objects, self.objects))
 
 
 def scene_of(record: SceneRecord) -> Scene:

@@ -34,7 +34,7 @@ MOST_VALUES = 250
 """Terms of a query, and values of all of them. Each is a condition of its own: SQLite takes no more than a thousand,
 and thousands take seconds before any job has been looked at.
 """
-WORDS = ("name", "scene", "target", "question")
+WORDS = ("name", "scene", "target", "asked")
 """Fields whose value is looked for anywhere in the text, in upper or lower case."""
 EXACT = ("state", "kind", "renderer", "method", "outcome", "tag", "campaign", "owner")
 """Fields whose value is the whole text."""
@@ -197,7 +197,7 @@ _COLUMNS: dict[str, InstrumentedAttribute[Any]] = {
     **SORTS,
     "campaign": Job.campaign_id,
     "kind": Job.kind,
-    "question": Job.question,
+    "asked": Job.asked,
     "owner": Job.owner,
 }
 """The columns of the other fields of a query; "name", "tag" and "verified" are read otherwise."""

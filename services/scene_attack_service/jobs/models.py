@@ -32,7 +32,7 @@ from scene_attack.client.states import CampaignState as CampaignState
 from scene_attack.client.states import JobKind as JobKind
 from scene_attack.client.states import Priority, times_of
 from scene_attack.client.states import State as State
-from scene_attack.runs.spec import attack_name, job_name, question_names, scene_name
+from scene_attack.runs.spec import asked_of, attack_name, job_name, scene_name
 
 
 class UtcTime(TypeDecorator[datetime]):
@@ -129,7 +129,7 @@ class Job(Base):
     renderer: Mapped[str | None] = mapped_column(String(300))
     method: Mapped[str | None] = mapped_column(String(300))
     target: Mapped[str | None] = mapped_column(String(300))
-    question: Mapped[str | None] = mapped_column(String(300))
+    asked: Mapped[str | None] = mapped_column(String(300))
 
     # What a person has said about the job (scene_attack_service.jobs.job_list).
     title: Mapped[str | None] = mapped_column(String(100))
@@ -203,7 +203,7 @@ def listed(spec: Mapping[str, Any], titles: Mapping[str, str] | None = None) -> 
     """The listed columns of the full spec of an attack or re-rendering, by name; `titles` are those of uploads, by
     their names in scenes.
     """
-    questions = question_names(spec)
+    asked = asked_of(spec)
     if "fit" in spec:
         work = {"attack": "re-rendering", "renderer": "torch", "method": f"fit by {spec['fit']['optimiser']}"}
     else:
@@ -214,7 +214,7 @@ def listed(spec: Mapping[str, Any], titles: Mapping[str, str] | None = None) -> 
         "scene": scene_name(spec, titles),
         **work,
         "target": spec["target"]["name"],
-        "question": questions[0] if questions else None,
+        "asked": asked.names[0] if asked is not None and asked.names else None,
     }
     return {column: _cut(text) for column, text in columns.items()}
 

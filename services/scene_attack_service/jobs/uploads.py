@@ -111,7 +111,7 @@ class AssetRecords:
 
     def first_answers(self, meshes: Collection[str], owner: str | None) -> dict[str, list[FirstAnswer]]:
         """The first answers to each of these meshes in jobs of the owner (None: of any owner) that ran to their end,
-        those of most jobs first. Meshes without an answer are left out, and so are jobs with questions.
+        those of most jobs first. Meshes without an answer are left out, and so are jobs that ask something.
         """
         by_mesh: dict[str, list[FirstAnswer]] = defaultdict(list)
         with self._database.read() as session:
@@ -123,7 +123,7 @@ class AssetRecords:
                     Job.outcome["before"].as_string().label("before"),
                     Job.outcome["right_before"].as_boolean().label("right"),
                 )
-                .where(*_alone(session, meshes, owner), Job.question.is_(None))
+                .where(*_alone(session, meshes, owner), Job.asked.is_(None))
                 .subquery()
             )
             count = func.count().label("jobs")

@@ -106,7 +106,7 @@ BAD = {
     "a network that is already wrong": ({"goal": {"leave": "tench"}}, "goal.leave"),
     "object out of view": ({"scene__objects__0__translation": [50, 0, 0]}, "scene.objects.0"),
     "object behind the camera": ({"scene__objects__0__translation": [0, 0, 60]}, "scene.objects.0"),
-    "a question to a classifier": ({"target__question": "What colour is it?"}, "target.question"),
+    "a question to a classifier": ({"target__ask": {"question": "What colour is it?"}}, "target.ask"),
 }
 
 

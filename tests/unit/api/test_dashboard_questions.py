@@ -9,15 +9,17 @@ from typing import Any
 import httpx
 import pytest
 from httpx import ASGITransport
+from sqlalchemy import update
 
 from scene_attack.runs.execute import execute
 from scene_attack.runs.result import Result, outcome
 from scene_attack.runs.spec import JobSpec, parse
 from scene_attack.targets import registry
-from scene_attack_api.dashboard.views import Chain, questions
 from scene_attack_questions.clevr.description import describe
 from scene_attack_questions.clevr.generator import generate
-from scene_attack_service.jobs.models import Artifact
+from scene_attack_questions.page import Chain, Page, Question
+from scene_attack_questions.parts import QuestionsResult
+from scene_attack_service.jobs.models import Artifact, Job
 from scene_attack_service.jobs.record import Record
 from tests.unit.api.dashboard_records import Tags, add, app, start
 from tests.unit.api.test_dashboard_pages import HOSTILE
@@ -47,10 +49,10 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], Path
     """The result of a job, and the folder of its files."""
     folder = tmp_path_factory.mktemp("job")
     scene = describe(RECORD, (60, 80)).model_copy(update={"shadows": None})
+    source = {"format": "clevr", "record": RECORD.model_dump(mode="json")}
     request = {
-        "record": RECORD.model_dump(mode="json"),
-        "scene": scene.model_dump(mode="json"),
-        "target": {"name": INFO.name, "question": CALLS},
+        "scene": scene.model_dump(mode="json") | {"source": source},
+        "target": {"name": INFO.name, "ask": {"question": CALLS}},
         "attack": {"renderer": "image", "base_renderer": "pyrender", "method": "fgsm", "steps": 1},
     }
     with registry.registered(INFO, target()):
@@ -62,6 +64,14 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], Path
 def result(made: tuple[dict[str, Any], Path]) -> dict[str, Any]:
     """The result, to be changed."""
     return copy.deepcopy(made[0])
+
+
+def questions(result: dict[str, Any]) -> tuple[Question, ...]:
+    """The questions as the page draws them."""
+    part = QuestionsResult.model_validate(result["tasks"]["questions"])
+    shown = part.shown(result["spec"], result)
+    assert isinstance(shown, Page)
+    return shown.questions
 
 
 async def pages(record: Record, folder: Path, result: dict[str, Any]) -> tuple[str, Tags, Tags]:
@@ -84,7 +94,7 @@ async def test_the_page_has_the_question_its_answers_and_its_program(
 ) -> None:
     result, folder = made
     job_id, page, listed = await pages(record, folder, result)
-    [found] = result["questions"]
+    [found] = result["tasks"]["questions"]["questions"]
     name = "A program of 10 functions that asks for a number"
     for tags in (page, listed):
         assert name in tags.text
@@ -97,7 +107,7 @@ async def test_the_page_has_the_question_its_answers_and_its_program(
         "7 those in either set union a set of objects; right: 1, 2, 3",
         "9 how many? count a number; right: 1",
         "3 large red rubber sphere",
-        "18 images of attention",
+        "19 files of the task",
     ):
         assert words in page.text
     # every image is a file of the job, and every mask is shown on the image that it is of
@@ -123,7 +133,7 @@ async def test_the_function_that_changed_first_and_the_one_that_changed_most_are
     record: Record, made: tuple[dict[str, Any], Path], result: dict[str, Any]
 ) -> None:
     changes = {0: (0.4, 0.1), 1: (0.9, 0.49), 2: (2.1, 0.98), 4: (3.25, 0.97)}
-    for one in result["questions"][0]["attention"]:
+    for one in result["tasks"]["questions"]["questions"][0]["attention"]:
         one["change"], one["cell_change"] = changes.get(one["node"], (0.0, 0.0))
     _, page, _ = await pages(record, made[1], result)
     assert "first at function 2, those that are cylinders , by 2.10, and most at function 4" in page.text
@@ -134,7 +144,7 @@ async def test_the_function_that_changed_first_and_the_one_that_changed_most_are
     meters = [a for a in page.all("meter") if "max" in a and a["max"] == "3.25"]
     assert [a["value"] for a in meters[:5]] == ["0.4", "0.9", "2.1", "0.0", "3.25"]
     assert page.text.count("first changed") == page.text.count("changed most") == 1
-    for one in result["questions"][0]["attention"]:
+    for one in result["tasks"]["questions"]["questions"][0]["attention"]:
         one["change"] = one["cell_change"] = 0.0
     _, page, _ = await pages(record, made[1], result)
     assert "No function’s attention changed." in page.text
@@ -144,8 +154,12 @@ async def test_the_function_that_changed_first_and_the_one_that_changed_most_are
 async def test_an_answer_outside_the_question_s_kind_is_flagged(
     record: Record, made: tuple[dict[str, Any], Path], result: dict[str, Any]
 ) -> None:
-    result["questions"][0] |= {"after_of_kind": False, "before_of_kind": True, "right_after": None}
-    result["questions"][0]["after"]["label"] = "no"
+    result["tasks"]["questions"]["questions"][0] |= {
+        "after_of_kind": False,
+        "before_of_kind": True,
+        "right_after": None,
+    }
+    result["tasks"]["questions"]["questions"][0]["after"]["label"] = "no"
     _, page, _ = await pages(record, made[1], result)
     assert "The question asks for a number, and no is not that." in page.text
     assert page.text.count("asked for a number") == 2  # in the table of answers, and at the program's end
@@ -156,11 +170,12 @@ async def test_an_answer_outside_the_question_s_kind_is_flagged(
 async def test_several_questions_have_their_own_answers(
     record: Record, made: tuple[dict[str, Any], Path], result: dict[str, Any]
 ) -> None:
-    other = copy.deepcopy(result["questions"][0]) | {"question": "How many things are there?", "outcome": "held"}
+    asked = result["tasks"]["questions"]["questions"]
+    other = copy.deepcopy(asked[0]) | {"question": "How many things are there?", "outcome": "held"}
     other["before"]["label"], other["after"]["label"] = "3", HOSTILE
-    result["questions"][0]["outcome"] = "fooled"
-    result["questions"].append(other)
-    result["spec"]["target"] = {"name": INFO.name, "question": None, "questions": [CALLS, other["question"]]}
+    asked[0]["outcome"] = "fooled"
+    asked.append(other)
+    result["spec"]["target"] = {"name": INFO.name, "ask": {"questions": [CALLS, other["question"]]}}
     result["original"]["label"] = "an answer stays"
     _, page, listed = await pages(record, made[1], result)
     assert "2 questions about one image" in listed.text
@@ -197,8 +212,8 @@ async def test_objects_have_their_effects_and_the_search_its_limits(
 def test_a_function_that_many_take_is_shown_in_whole_once(result: dict[str, Any]) -> None:
     """Each function takes the one before it twice: as a tree without sharing, 2^60 functions."""
     doubled = program("scene", *(f"union {k} {k}" for k in range(60)), "count 60").written()
-    result["questions"][0] |= {"program": doubled, "attention": []}
-    [found] = questions(result, result["spec"], ["doubled"])
+    result["tasks"]["questions"]["questions"][0] |= {"program": doubled, "attention": []}
+    [found] = questions(result)
 
     def steps(chain: Chain) -> Iterator[tuple[int, bool]]:
         for one in chain.inputs:
@@ -213,8 +228,20 @@ def test_a_function_that_many_take_is_shown_in_whole_once(result: dict[str, Any]
     assert [step.words for step in found.program.steps] == ["those in either set", "how many?"]
 
 
+async def test_a_job_of_an_older_version_is_shown(record: Record, made: tuple[dict[str, Any], Path]) -> None:
+    result, folder = made
+    job_id, _, _ = await pages(record, folder, result)
+    older = result["spec"] | {"target": {"name": INFO.name, "question": CALLS}}
+    with record.database.write() as session:
+        session.execute(update(Job).where(Job.id == job_id).values(spec=older))
+    async with httpx.AsyncClient(transport=ASGITransport(app(record)), base_url="http://dashboard") as client:
+        page = await client.get(f"/jobs/{job_id}")
+    assert page.status_code == 200
+    assert "A program of 10 functions that asks for a number" in Tags(page.text).text
+
+
 def test_a_chain_is_read_in_the_order_in_which_its_functions_run(result: dict[str, Any]) -> None:
-    [found] = questions(result, result["spec"], ["a number"])
+    [found] = questions(result)
     joined = found.program
     assert [step.number for step in joined.steps] == [7, 8, 9]
     assert [[step.number for step in chain.steps] for chain in joined.inputs] == [[0, 1, 2, 3, 4], [5, 6]]

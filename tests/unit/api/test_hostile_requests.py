@@ -38,7 +38,7 @@ BODIES = {
     "renderer": ("/v1/jobs", '{"attack": {"renderer": {}, "method": []}}', 422),
     "bad points": ("/v1/jobs", filled('{"scene": {"lights": {"points": […]}}}', '{"a":1}'), 422),
     "bad points in words": ("/v1/jobs", filled('{"scene": {"lights": {"points": […]}}}', '"x"'), 422),
-    "bad questions": ("/v1/jobs", filled('{"target": {"questions": […]}}', "{}"), 422),
+    "bad questions": ("/v1/jobs", filled('{"target": {"name": "iep", "ask": {"questions": […]}}}', "{}"), 422),
     "bad jobs": ("/v1/campaigns", filled('{"jobs": […]}', "{}"), 422),
     "bad attacks": ("/v1/campaigns", '{"grids": [{"attacks": [' + '{"attack": {"x": 1}},' * 63 + "{}]}]}", 422),
     "a long name": ("/v1/jobs", '{"' + "k" * 1_000_000 + '": 1}', 422),
@@ -52,7 +52,7 @@ BODIES = {
         for depth, status in ((70, 422), (500, 422), (5000, 422))
         for path, place, text in (
             ("/v1/jobs", "scene", '{"scene": …}'),
-            ("/v1/jobs", "record", '{"record": {"mask": …}}'),
+            ("/v1/jobs", "record", '{"scene": {"source": {"format": "clevr", "record": {"mask": …}}}}'),
             ("/v1/campaigns", "jobs", '{"jobs": [{"scene": …}]}'),
             ("/v1/rerenderings", "image", '{"image": …}'),
         )
@@ -71,9 +71,11 @@ def test_a_bad_body_has_a_short_answer(client: Client, path: str, body: str, sta
 
 @pytest.mark.parametrize("depth", range(900, 1000, 9))
 def test_depths_at_which_the_stack_ends_somewhere_are_no_mistake_of_the_service(client: Client, depth: int) -> None:
-    answer = client.post("/v1/jobs", content='{"record": {"mask": ' + nested(depth) + "}}", headers=JSON)
+    answer = client.post("/v1/jobs", content=HEAD + nested(depth) + "}}}}", headers=JSON)
     assert answer.status_code == 422
 
+
+HEAD = '{"scene": {"source": {"format": "clevr", "record": {"mask": '
 
 CURSOR = base64.urlsafe_b64encode(b"2030-01-01T00:00:00+00:00 a" + bytes(1))
 NUL = {
@@ -182,8 +184,9 @@ def test_paths_of_the_api_and_addresses_are_no_folders() -> None:
 
 
 def test_scenes_to_generate_are_counted_before_they_are_made(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("scene_attack_questions.clevr.description.generate", None)  # calling it would be a 500
-    answer = client.post("/v1/campaigns", json={"jobs": [{"generate": {"index": k}} for k in range(500)]})
+    monkeypatch.setattr("scene_attack_questions.source.generate", None)  # calling it would be a 500
+    made = {"format": "clevr", "generate": {"index": 3}}
+    answer = client.post("/v1/campaigns", json={"jobs": [{"scene": {"source": made}}] * 500})
     assert answer.status_code == 422
     [error] = answer.json()["errors"]
     assert (error["field"], "grid" in error["detail"]) == ("jobs", True)

@@ -136,9 +136,9 @@ SMALL, FITTING = (in_base64(torch.zeros(size, size, 3, dtype=torch.uint8)) for s
         ({"image": {"data": "AAAA"}, "scene": SPHERE}, "image", "not a PNG, JPEG or WebP"),
         ({"image": {"data": base64.b64encode(CUT).decode()}, "scene": SPHERE}, "image", "it is damaged"),
         (
-            {"image": {"data": FITTING}, "scene": SPHERE, "target": {"question": "what?"}},
-            "target.question",
-            "answers no questions",
+            {"image": {"data": FITTING}, "scene": SPHERE, "target": {"ask": {"question": "what?"}}},
+            "target.ask",
+            "is asked nothing",
         ),
         ({"image": {"job": "none"}}, "image.job", "no such job"),
         ({"image": {}, "scene": SPHERE}, "image", "either"),

@@ -75,7 +75,7 @@ def test_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, limit: str
     assert [one.level for one in (*of_service.data(values), *checkup.cache(values))] == [level, level]
 
 
-@pytest.mark.parametrize("revision", ["0018", "9999"])
+@pytest.mark.parametrize("revision", ["0019", "9999"])
 def test_tables_of_another_version(tmp_path: Path, revision: str) -> None:
     values = made(tmp_path)
     assert only(list(of_service.database(values))).level == "ok"
@@ -92,7 +92,7 @@ def test_tables_that_the_next_start_migrates(
     values = made(tmp_path)
     with_a_later_revision(tmp_path_factory.mktemp("later"), monkeypatch)
     found = only(list(of_service.database(values)))
-    assert (found.level, found.text) == ("warn", "sqlite: its tables are of revision 0019, not later")
+    assert (found.level, found.text) == ("warn", "sqlite: its tables are of revision 0020, not later")
 
 
 def test_a_damaged_database(tmp_path: Path) -> None:

@@ -38,8 +38,7 @@ def imports() -> networkx.DiGraph:
         found.add_node(here)
         for imported in modules.find_modules_directly_imported_by(module):
             there = room(imported)
-            backwards = there == "questions" and module.startswith("scene_attack.")  # listed in pyproject.toml
-            if there is not None and there != here and not backwards:
+            if there is not None and there != here:
                 found.add_edge(here, there)
     return found
 

@@ -12,6 +12,7 @@ from scene_attack_questions.clevr.description import scene_of
 from scene_attack_questions.executor import ANSWERS
 from scene_attack_questions.families import FAMILIES
 from scene_attack_questions.program import FUNCTIONS
+from scene_attack_questions.source import Clevr
 from scene_attack_questions.text import WORDS
 
 PAGE = (Path(__file__).parents[3] / "docs" / "vqa.md").read_text("utf-8")
@@ -29,9 +30,10 @@ def test_the_scene_of_ones_own_is_a_request(tmp_path: Path, monkeypatch: pytest.
     monkeypatch.chdir(tmp_path)
     exec(compile(example, "scene_of_mine.py", "exec"), {})
     spec = parse(json.loads((tmp_path / "mine.json").read_text()))
-    assert spec.record is not None
-    assert [one.color for one in spec.record.objects] == ["red", "blue", "green"]
-    assert spec.scene == scene_of(spec.record)
+    assert isinstance(spec.scene.source, Clevr)
+    record = spec.scene.source.stated()
+    assert [one.color for one in record.objects] == ["red", "blue", "green"]
+    assert spec.scene.model_copy(update={"source": None}) == scene_of(record)
 
 
 def test_every_function_is_in_the_table() -> None:

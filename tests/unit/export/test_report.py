@@ -6,7 +6,7 @@ import pytest
 
 from scene_attack.export.parameters import ParameterTable
 from scene_attack.export.report import content, curves, report
-from scene_attack.runs.result import ATTENTION, Result, subset_image
+from scene_attack.runs.result import Result, subset_image
 from tests.unit.api.dashboard_records import result, row
 
 HOSTILE = "<script>alert(1)</script>\"'&"
@@ -64,7 +64,7 @@ def test_each_image_is_called_what_it_is() -> None:
     assert "environment map as it was" in content("map-before.png")
     assert "under attack" in content("map-after.png")
     assert "brighter" in content("map-ratio.png")
-    for name in ("attention-0-03-before.png", "attention-0-03-after.png", ATTENTION):
+    for name in ("attention-0-03-before.png", "attention-0-03-after.png", "attention.safetensors"):
         assert "a file of the job" not in content(name)
     attending = [name for name in ("original.png", "map-ratio.png", subset_image(1)) if "attends" in content(name)]
     assert attending == []

@@ -100,7 +100,7 @@ def test_a_list_is_sorted_and_jobs_without_a_value_come_last(lists: JobLists, jo
         ("tag:x", lambda _: False),
         ("noted", lambda _: False),
         ("campaign:none", lambda _: False),
-        ("question:cube", lambda _: False),
+        ("asked:cube", lambda _: False),
     ],
 )
 def test_filters(lists: JobLists, jobs: list[str], query: str, wanted: Any) -> None:

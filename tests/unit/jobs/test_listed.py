@@ -7,18 +7,18 @@ from scene_attack_service.jobs.record import Record
 from tests.unit.jobs.records import SPEC, add, attacks
 
 ASKED: dict[str, Any] = SPEC.model_dump(mode="json") | {
-    "target": {"name": "iep", "question": "How many cubes are there?", "questions": []}
+    "target": {"name": "iep", "ask": {"question": "How many cubes are there?"}}
 }
 
 
 def test_what_a_list_shows_of_a_request() -> None:
     columns = listed(ASKED)
-    assert columns["name"] == columns["question"] == "How many cubes are there?"
+    assert columns["name"] == columns["asked"] == "How many cubes are there?"
     assert (columns["scene"], columns["target"]) == ("sphere", "iep")
     attack = ASKED["attack"]
     assert columns["attack"] == f"{columns['renderer']} combined {columns['method']}"
     assert (columns["renderer"], columns["method"]) == (attack["renderer"], attack["method"])
-    assert listed(SPEC.model_dump(mode="json"))["question"] is None
+    assert listed(SPEC.model_dump(mode="json"))["asked"] is None
 
 
 def test_a_scene_of_many_meshes_is_cut() -> None:

@@ -13,14 +13,17 @@ from safetensors.torch import load_file
 from scene_attack.analysis.images import answer as network_answer
 from scene_attack.errors import InvalidRequest
 from scene_attack.runs.execute import execute
-from scene_attack.runs.prepare import prepare, prepare_exactly
+from scene_attack.runs.prepare import Prepared, prepare, prepare_exactly
 from scene_attack.runs.preview import preview
-from scene_attack.runs.result import ATTENTION
 from scene_attack.runs.spec import JobSpec, digest, parse
 from scene_attack.targets import registry
+from scene_attack_questions.ask import Questions
 from scene_attack_questions.clevr.description import describe
 from scene_attack_questions.executor import ANSWERS, KINDS, Facts, answer
 from scene_attack_questions.iep.target import IepTarget
+from scene_attack_questions.parts import QuestionsPlan
+from scene_attack_questions.records import ATTENTION, Asked
+from scene_attack_questions.source import Clevr
 from tests.unit.jobs.small import LIBRARY, SPHERE
 from tests.unit.questions.iep.seeded import INFO, TAUGHT, favouring, program, target
 from tests.unit.questions.question_requests import ATTACK, RECORD, asking, calls
@@ -35,10 +38,12 @@ def _seeded() -> Iterator[None]:
 
 
 def test_a_record_or_a_seed_becomes_a_scene_with_its_record() -> None:
-    given = parse({"record": RECORD.model_dump(mode="json", by_alias=True)})
-    assert (given.scene, given.record) == (describe(RECORD), RECORD)
-    made = parse({"generate": {"seed": 8, "index": 2, "objects": 4}})
-    assert (made.scene, made.record, made.generate) == (describe(RECORD), RECORD, None)
+    source = {"format": "clevr", "record": RECORD.model_dump(mode="json", by_alias=True)}
+    given = parse({"scene": {"source": source}})
+    made = parse({"scene": {"source": {"format": "clevr", "generate": {"seed": 8, "index": 2, "objects": 4}}}})
+    for spec in (given, made):
+        assert spec.scene.source == Clevr(format="clevr", record=RECORD)
+        assert spec.scene.model_copy(update={"source": None}) == describe(RECORD)
     # the stored request is the same request
     again = JobSpec.model_validate(json.loads(made.model_dump_json()))
     assert again == made
@@ -56,7 +61,7 @@ def test_requests_without_questions_keep_their_canonical_json() -> None:
     spec = parse({"scene": SPHERE})
     assert spec.model_dump(mode="json").keys() == {"scene", "target", "goal", "attack", "tolerance", "analysis", "seed"}
     assert spec.goal.model_dump(mode="json").keys() == {"truth", "leave", "reach", "least_confidence"}
-    assert spec.model_dump(mode="json")["target"] == {"name": "efficientnet-lite0", "question": None}
+    assert spec.model_dump(mode="json")["target"] == {"name": "efficientnet-lite0"}
 
 
 def right(lines: list[str]) -> str:
@@ -68,19 +73,31 @@ def right_of(said: str, *asked: Any) -> IepTarget:
     return favouring(said, torch.stack([prepare_exactly(parse(asking(one)), LIBRARY).original.logits for one in asked]))
 
 
+def stated(prepared: Prepared) -> tuple[Asked, ...]:
+    part = prepared.task.plan()
+    assert isinstance(part, QuestionsPlan)
+    return part.questions
+
+
+def questions_of(data: Any) -> Questions:
+    ask = parse(data).target.ask
+    assert isinstance(ask, Questions)
+    return ask
+
+
 LARGE = ["scene", "filter_size 0 large", "count 1"]
 
 
 @pytest.fixture
 def run(tmp_path: Path) -> Iterator[Any]:
     """Runs a job on the network that has the question right before the attack."""
-    asked = calls(*LARGE)
+    large = calls(*LARGE)
     info = INFO.model_copy(update={"name": "iep-right"})
-    with registry.registered(info, right_of(right(LARGE), asked)):
+    with registry.registered(info, right_of(right(LARGE), large)):
 
         def job(**changes: Any) -> Any:
-            data = asking(asked, **changes)
-            data["target"] = {"name": "iep-right", "question": asked}
+            data = asking(large, **changes)
+            data["target"]["name"] = "iep-right"
             return execute(parse(data), tmp_path, LIBRARY)
 
         yield job
@@ -94,7 +111,7 @@ def shown(path: Path) -> torch.Tensor:
 
 def test_a_right_answer_is_attacked_to_the_verdict(run: Any, tmp_path: Path) -> None:
     result = run(attack=ATTACK | {"steps": 40})
-    [found] = result.questions
+    [found] = result.tasks["questions"].questions
     assert result.verdict.truth == [right(LARGE)] == [found.right] == [found.before.label]
     assert result.verdict.right_before
     assert (result.outcome, found.outcome, result.verified) == ("fooled", "fooled", True)
@@ -104,7 +121,7 @@ def test_a_right_answer_is_attacked_to_the_verdict(run: Any, tmp_path: Path) -> 
     assert found.right_after == found.right
     assert found.program == calls(*LARGE)
     # the stored image has the stored answer
-    own, question = registry.load("iep-right"), parse(result.spec).target.asked
+    own, question = registry.load("iep-right"), questions_of(result.spec).texts[0]
     assert isinstance(own, IepTarget)
     assert question is not None
     assert (
@@ -127,12 +144,12 @@ def test_a_right_answer_is_attacked_to_the_verdict(run: Any, tmp_path: Path) -> 
 
 
 def test_leaving_the_kind_of_answers(run: Any) -> None:
-    result = run(goal={"leave_kind": True}, attack=ATTACK | {"steps": 60})
+    result = run(leave_kind=True, attack=ATTACK | {"steps": 60})
     assert set(result.verdict.labels_to_leave) == set(KINDS["integer"])
-    [found] = result.questions
+    [found] = result.tasks["questions"].questions
     assert result.outcome == ("fooled" if found.after.label not in KINDS["integer"] else "held")
     assert found.after_of_kind == (result.outcome == "held")
-    assert parse(result.spec).goal.leave_kind
+    assert questions_of(result.spec).leave_kind
 
 
 def test_scenes_are_attacked_within_what_exists(run: Any, tmp_path: Path) -> None:
@@ -147,7 +164,7 @@ def test_scenes_are_attacked_within_what_exists(run: Any, tmp_path: Path) -> Non
     assert result.spec["attack"]["delta"] == 1e-3
     listed = {item.part: (item.kept, item.of) for item in result.plan.items if item.part in moved}
     assert listed == {"illumination": (12, 13), "color": (12, 12), "translation": (8, 12), "rotation": (4, 12)}
-    assert result.questions[0].right_after == result.questions[0].right
+    assert result.tasks["questions"].questions[0].right_after == result.tasks["questions"].questions[0].right
 
 
 def test_what_cannot_reach_the_answer_is_left_out_and_listed(run: Any, tmp_path: Path) -> None:
@@ -183,10 +200,10 @@ def test_groups_of_many_coordinates_are_not_measured() -> None:
 def test_the_verdict_uses_the_truth_of_the_attacked_scene(run: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """An answer that follows a change of the scene is right, whatever was right before."""
     before = run(attack=ATTACK | {"steps": 40})
-    answered = before.questions[0].after.label
+    answered = before.tasks["questions"].questions[0].after.label
     monkeypatch.setattr("scene_attack_questions.task.AskedQuestion.right_after", lambda *_: answered)
     after = run(attack=ATTACK | {"steps": 40})
-    assert after.questions[0].after.label == answered
+    assert after.tasks["questions"].questions[0].after.label == answered
     assert (before.outcome, after.outcome) == ("fooled", "held")
 
 
@@ -198,17 +215,18 @@ def test_several_questions_are_attacked_together(tmp_path: Path) -> None:
     own = right_of(right(LARGE), *both)
     with registry.registered(INFO.model_copy(update={"name": "iep-right"}), own):
         data = asking(None, attack=ATTACK | {"steps": 60})
-        data["target"] = {"name": "iep-right", "questions": both}
+        data["target"] = {"name": "iep-right", "ask": {"questions": both}}
         result = execute(parse(data), tmp_path, LIBRARY)
-        scores = own.answers(shown(tmp_path / "attacked.png"), parse(data).target.together)[0]
-    assert [ANSWERS[int(one.argmax())] for one in scores] == [one.after.label for one in result.questions]
-    outcomes = [one.outcome for one in result.questions]
-    assert outcomes == [("fooled" if one.after.label != one.right else "held") for one in result.questions]
+        scores = own.answers(shown(tmp_path / "attacked.png"), questions_of(data).texts)[0]
+    found = result.tasks["questions"].questions
+    assert [ANSWERS[int(one.argmax())] for one in scores] == [one.after.label for one in found]
+    outcomes = [one.outcome for one in found]
+    assert outcomes == [("fooled" if one.after.label != one.right else "held") for one in found]
     assert result.outcome == ("fooled" if set(outcomes) == {"fooled"} else "held")
     assert result.verified == (result.outcome == "fooled")
     assert result.outcome == "fooled"
     assert {one.name for one in tmp_path.glob("attention-1-*.png")} == {
-        name for one in result.questions[1].attention for name in (one.before, one.after)
+        name for one in found[1].attention for name in (one.before, one.after)
     }
 
 
@@ -216,9 +234,9 @@ def test_a_preview_answers_each_of_several_questions() -> None:
     both = [calls(*LARGE), calls(*AGAIN)]
     with registry.registered(INFO.model_copy(update={"name": "iep-right"}), right_of(right(LARGE), *both)):
         data = asking(None)
-        data["target"] = {"name": "iep-right", "questions": both}
+        data["target"] = {"name": "iep-right", "ask": {"questions": both}}
         found, _ = preview(parse(data), LIBRARY)
-    assert [one.question for one in found.answers] == list(parse(data).target.together)
+    assert [one.asked for one in found.answers] == list(questions_of(data).texts)
     assert [one.answer.label for one in found.answers] == [right(LARGE)] * 2
 
 
@@ -237,6 +255,6 @@ def test_words_are_asked_as_their_program() -> None:
         except InvalidRequest:
             continue
         prepared = prepare_exactly(parse(asking(words)), LIBRARY)
-        assert [question.program for question in prepared.task.stated()] == [known.written()]
+        assert [question.program for question in stated(prepared)] == [known.written()]
         assert prepared.settled.truth == (ANSWERS.index(expected),)
         assert network_answer(prepared.original.logits, ANSWERS, prepared.settled.goal).label in ANSWERS

@@ -55,11 +55,10 @@ MISTAKES: dict[str, tuple[Any, str]] = {
     "attack.momentum": (1, "must be a number of at least 0 and below 1, not 1: momentum"),
     "attack.seconds": (0, "must be a number above 0 and at most 86400 or null, not 0: limit of run time in seconds"),
     "attack.learning_rate": (0.1, "must be an object in which each value is a number from 0 to 1000, not 0.1: step"),
-    "target": ("mine", 'must be an object with the fields name, question, questions, not "mine"'),
+    "target": ("mine", 'must be an object with the fields name, ask, not "mine"'),
     "sceen": (
         {},
-        "there is no such field; there are scene, record, generate, target, goal, attack, tolerance, analysis, seed; "
-        "did you mean 'scen",
+        "there is no such field; there are scene, target, goal, attack, tolerance, analysis, seed; did you mean 'scen",
     ),
 }
 
@@ -111,7 +110,7 @@ def test_a_long_value_is_shortened_and_a_number_that_is_none_is_shown() -> None:
 def test_something_that_is_no_object_is_the_bodys_mistake() -> None:
     (error,) = errors([])
     assert error.field == "body"
-    assert error.detail.startswith("must be an object with the fields scene, record, generate, target, goal, attack")
+    assert error.detail.startswith("must be an object with the fields scene, target, goal, attack")
 
 
 def test_a_parsed_file_is_told_all_its_mistakes() -> None:

@@ -34,7 +34,7 @@ REFUSED: list[tuple[str, dict[str, Any]]] = [
     ("scene.floor", {"scene": SPHERE | {"floor": {"height": 90, "size": 1}}}),
     ("scene.objects", {"scene": HIDDEN}),
     ("target.name", {"target": {"name": "alexnet"}}),
-    ("target.question", {"target": {"name": "efficientnet-lite0", "question": "how many?"}}),
+    ("target.ask", {"target": {"name": "efficientnet-lite0", "ask": {"question": "how many?"}}}),
     ("goal.leave", {"goal": {"leave": "grand piano"}}),  # the network says something else of a sphere
     ("goal.leave", {"goal": {"leave": "gran piano"}}),
     ("goal.leave", {"goal": {"leave": 1000}}),

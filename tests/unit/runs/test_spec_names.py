@@ -1,6 +1,6 @@
 import pytest
 
-from scene_attack.runs.spec import attack_name, group_words, job_name, question_names
+from scene_attack.runs.spec import asked_of, attack_name, group_words, job_name
 
 TORCH = ("normals", "illumination", "material")
 PAPERS = ["illumination", "color", "translation", "rotation"]
@@ -33,10 +33,18 @@ def test_a_job_is_named_by_its_questions() -> None:
     scene = {"objects": [{"mesh": "primitive/cube"}, {"mesh": "furniture/couch"}]}
     counting = [{"function": "scene"}, {"function": "count", "inputs": [0]}]
     words = "How many things are there?"
-    assert job_name({"scene": scene, "target": {"name": "resnet50", "question": None}}) == "cube, couch"
-    assert job_name({"scene": scene, "target": {"name": "iep", "question": words}}) == words
+    assert job_name({"scene": scene, "target": {"name": "resnet50"}}) == "cube, couch"
+    assert job_name({"scene": scene, "target": {"name": "iep", "ask": {"question": words}}}) == words
+    assert job_name({"scene": scene, "target": {"name": "iep", "ask": {"leave_kind": True}}}) == "cube, couch"
     program = "A program of 2 functions that asks for a number"
-    assert job_name({"scene": scene, "target": {"name": "iep", "question": counting}}) == program
-    several = {"scene": scene, "target": {"name": "iep", "question": None, "questions": [words, counting]}}
-    assert question_names(several) == [words, program]
+    assert job_name({"scene": scene, "target": {"name": "iep", "ask": {"question": counting}}}) == program
+    several = {"scene": scene, "target": {"name": "iep", "ask": {"questions": [words, counting]}}}
+    asked = asked_of(several)
+    assert asked is not None
+    assert asked.names == (words, program)
     assert job_name(several) == "2 questions about one image"
+
+
+def test_a_request_of_another_version_is_named_by_its_scene() -> None:
+    scene = {"objects": [{"mesh": "primitive/cube"}]}
+    assert job_name({"scene": scene, "target": {"name": "iep", "question": "How many things are there?"}}) == "cube"

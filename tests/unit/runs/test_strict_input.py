@@ -26,8 +26,12 @@ def put(path: str, value: Any) -> dict[str, Any]:
         data: Any = {"grids": [{"scenes": [SCENE], "attacks": ATTACKS}]}
     else:
         data = {"scene": SCENE, "attack": {"renderer": "pyrender"}}
-    if path.startswith("record"):
-        data["record"] = RECORD
+    if path.startswith("target.ask"):
+        data["target"] = {"name": "iep"}
+    if path.startswith("scene.source"):
+        data["scene"] = {"source": {"format": "clevr", "record": RECORD}}
+    if path.startswith("grids.0.generate"):
+        data["grids"] = [{"targets": ["iep"], "generate": {"images": 1}, "attacks": ATTACKS}]
     data = copy.deepcopy(data)
     *parents, last = path.split(".")
     at = data
@@ -50,8 +54,8 @@ def fields(error: ValidationError, model: type[BaseModel]) -> list[InvalidReques
 LISTS = (
     "scene.objects",
     "scene.lights.points",
-    "target.question",
-    "target.questions",
+    "target.ask.question",
+    "target.ask.questions",
     "attack.groups",
     "goal.truth",
     "goal.leave",
@@ -89,7 +93,9 @@ def test_of_a_short_list_each_wrong_item_is_named() -> None:
     assert [one.field for one in fields(error, JobSpec)] == ["scene.objects.0.mesh", "scene.objects.2.mesh"]
 
 
-@pytest.mark.parametrize("path", ["scene", "attack", "attack.bounds", "attack.epsilon", "record.relationships"])
+@pytest.mark.parametrize(
+    "path", ["scene", "attack", "attack.bounds", "attack.epsilon", "scene.source.record.relationships"]
+)
 def test_an_object_of_many_fields_is_refused_as_a_whole(path: str) -> None:
     error = refused(put(path, {f"field{k}": None for k in range(MANY)}))
     [said] = fields(error, JobSpec)
@@ -129,12 +135,12 @@ NUMBERS = {
     "attack.queries": (5, ["5", 5.0]),
     "tolerance": (0.01, ["0.01", True]),
     "goal.least_confidence": (0, ["0", False]),
-    "goal.leave_kind": (True, ["true", 1, "yes"]),
-    "record.image_index": (0, ["0", 0.0, False]),
-    "record.objects.0.rotation": (RECORD["objects"][0]["rotation"], ["0", True]),
-    "record.objects.0.pixel_coords": ([1, 2, 3.5], [["1", 2, 3.5], [1.0, 2, 3.5], [1, 2, "3.5"]]),
-    "record.relationships.left.0": (RECORD["relationships"]["left"][0], [["1"], [1.0], [True]]),
-    "record.directions.left": (RECORD["directions"]["left"], [["0", 1, 0], [True, 1, 0]]),
+    "target.ask.leave_kind": (True, ["true", 1, "yes"]),
+    "scene.source.record.image_index": (0, ["0", 0.0, False]),
+    "scene.source.record.objects.0.rotation": (RECORD["objects"][0]["rotation"], ["0", True]),
+    "scene.source.record.objects.0.pixel_coords": ([1, 2, 3.5], [["1", 2, 3.5], [1.0, 2, 3.5], [1, 2, "3.5"]]),
+    "scene.source.record.relationships.left.0": (RECORD["relationships"]["left"][0], [["1"], [1.0], [True]]),
+    "scene.source.record.directions.left": (RECORD["directions"]["left"], [["0", 1, 0], [True, 1, 0]]),
     "grids.0.seeds": ([1, 2], [["1"], [1.0], [True]]),
     "grids.0.selection.right": (False, ["false", 0]),
 }

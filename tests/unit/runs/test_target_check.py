@@ -8,7 +8,7 @@ from tests.unit.questions.iep.seeded import INFO, target
 def test_a_network_for_questions_is_asked_that_of_its_card_about_a_generated_scene() -> None:
     with registry.registered(INFO, target()):
         found = check(INFO.name, "primitive/cube", LIBRARY)
-    assert (found.mesh, found.question) == (None, INFO.example)
+    assert (found.mesh, found.asked) == (None, INFO.example)
     assert found.gradient
     assert all(answer.label in ANSWERS for answer in found.answers)
     assert found.seconds.keys() == {1, 8}

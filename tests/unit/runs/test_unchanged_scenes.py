@@ -4,6 +4,7 @@
 
     python -m tests.unit.runs.test_unchanged_scenes > tests/unit/runs/unchanged_scenes.json
 
+The digests of requests are later: a request states `target.ask` where it stated `target.question`.
 The exact images as they are saved, in 8 bits, are compared where the same OpenGL draws them; the bits of the floats,
 where the kernels are the same too. A driver's or a processor's arithmetic is part of them.
 """

@@ -39,8 +39,11 @@ ATTACKS: tuple[dict[str, Any], ...] = (
 """FGSM has the paper's settings. ZOO has a λ a hundred times smaller than the paper's 0.1, with which no physical
 attack fooled the network in our trials."""
 QUESTION: dict[str, Any] = {
-    "generate": {"seed": 8, "objects": 4},
-    "target": {"name": "iep", "question": "What is the color of the object that is left of the cyan thing?"},
+    "scene": {"source": {"format": "clevr", "generate": {"seed": 8, "objects": 4}}},
+    "target": {
+        "name": "iep",
+        "ask": {"question": "What is the color of the object that is left of the cyan thing?"},
+    },
     "attack": {"renderer": "torch", "groups": ["normals", "illumination"], "method": "fgsm", "steps": 40},
 }
 """The request of `examples/vqa-torch.json`."""

@@ -7,13 +7,13 @@ const FIRST = {
   "": ["scene", "target", "goal", "attack", "seed"],
   scene: ["objects"],
   "scene.objects.*": ["mesh", "material", "color"],
-  target: ["name", "question"],
+  target: ["name", "ask"],
   goal: ["truth", "leave", "reach"],
   attack: ["renderer", "groups", "method", "steps", "queries"],
 };
 // The settings of an attack that mean the same with another renderer or method; all others are left out then.
 const KEPT = { renderer: ["steps", "queries", "seconds"], method: ["renderer", "groups", "base_renderer", "steps", "queries", "seconds"] };
-const OPEN = ["", "scene", "scene.objects.*", "target", "goal", "attack"];
+const OPEN = ["", "scene", "scene.objects.*", "target", "target.ask", "goal", "attack"];
 // The lists of names for fields that are texts in the schema.
 const NAMES = {
   "scene.objects.*.mesh": "meshes",

@@ -58,11 +58,11 @@ function made(tag, text) {
   return element;
 }
 
-function table({ question, answer }) {
+function table({ asked, answer }) {
   const found = document.createElement("table");
   found.className = "answers";
-  const caption = made("caption", question ?? "The five most probable labels");
-  if (!question) caption.className = "sr";
+  const caption = made("caption", asked ?? "The five most probable labels");
+  if (!asked) caption.className = "sr";
   found.append(caption);
   for (const [label, probability] of answer.top) {
     const row = found.insertRow();

@@ -51,7 +51,7 @@ def run(
     from scene_attack.cli.progress import JobLine
     from scene_attack.cli.result_folder import check_free, prepare_folder
     from scene_attack.cli.specs import local_library, read_job
-    from scene_attack.cli.tables import COLUMNS, cells, goal_line, print_analyses, print_answered, print_subsets
+    from scene_attack.cli.tables import COLUMNS, cells, goal_line, print_analyses, print_subsets, print_tasks
     from scene_attack.runs.environment import options_to_run
     from scene_attack.runs.spec import attack_name, job_name
 
@@ -79,7 +79,7 @@ def run(
     say(FittedTable(COLUMNS, [cells(name, attack, shown)]))
     if line_of_goal := goal_line(result.spec):
         say(line_of_goal)
-    print_answered(result.questions, out)
+    print_tasks(result.tasks, out)
     print_subsets(result.subsets, result.attribution)
     print_analyses(result.analyses)
     remark(*(f"Shown: {credit}" for credit in result.provenance.credits), f"Files in {out}")
@@ -213,7 +213,7 @@ def plan(
 
 
 def _print_plan(planned: "PlannedCost") -> None:
-    from scene_attack.cli.tables import print_asked
+    from scene_attack.cli.tables import print_tasks
 
     about, cost = planned.plan, planned.cost
     height, width = about.size
@@ -225,7 +225,7 @@ def _print_plan(planned: "PlannedCost") -> None:
         f"up to {cost.steps:,} steps{limit}; an image takes {1000 * cost.image_seconds:.3g} ms and a query "
         f"{1000 * cost.query_seconds:.3g} ms, so at least {cost.least_seconds:.2g} s in all, and gradients besides",
     )
-    print_asked(about.questions)
+    print_tasks(about.tasks)
     kept = [[f"{i.part} {i.what}".strip(), f"{i.kept:,}", f"{i.of:,}", i.why, small(i.error)] for i in about.items]
     say(FittedTable(("item", "kept>", "of>", "why the others are left out", "error>"), kept))
     done = [
@@ -274,9 +274,9 @@ def render(
     if as_json:
         print_json(shown)
         return
-    for asked in shown.answers:
-        rows = [[label, f"{probability:.3f}"] for label, probability in asked.answer.top]
-        say(FittedTable(("answer", "probability>"), rows, title=asked.question))
+    for first in shown.answers:
+        rows = [[label, f"{probability:.3f}"] for label, probability in first.answer.top]
+        say(FittedTable(("answer", "probability>"), rows, title=first.asked))
     warn(shown.warnings)
     if out is not None:
         remark(f"Image in {out}")

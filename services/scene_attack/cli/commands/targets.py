@@ -98,5 +98,5 @@ def _print(checked: "TargetCheck") -> None:
     say(FittedTable(("", ""), facts.items()))
     rows = [[answer.label, f"{answer.probability:.3f}"] for answer in checked.answers]
     shown = "a generated scene" if checked.mesh is None else f"a view of {checked.mesh}"
-    asked = f"{checked.question!r} about " if checked.question else ""
+    asked = f"{checked.asked!r} about " if checked.asked else ""
     say(FittedTable((f"answer to {asked}{shown}", "probability>"), rows))

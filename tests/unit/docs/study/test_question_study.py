@@ -13,11 +13,15 @@ from benchmarks.study.recording import of_folder
 from scene_attack.runs.campaign_plan import write
 from scene_attack.runs.campaign_run import run_campaign
 from scene_attack.runs.campaign_spec import parse
+from scene_attack.runs.task_parts import Member
+from scene_attack_questions.clevr.records import SceneRecord
 from scene_attack_questions.executor import Facts, answer
+from scene_attack_questions.grid import QuestionGrid, QuestionMember
+from scene_attack_questions.source import Clevr
 from tests.unit.docs.study.test_study_page import row
 from tests.unit.docs.study.test_study_records import SMALL, job
 from tests.unit.jobs.small import LIBRARY
-from tests.unit.runs.question_campaign import GRIDS, answering, asked, commonest, right_at_times
+from tests.unit.questions.question_campaign import GRIDS, answering, asked, commonest, right_at_times
 
 pytestmark = pytest.mark.slow
 
@@ -99,15 +103,20 @@ def test_the_papers_row_is_the_papers(tmp_path: Path) -> None:
     assert values == [pytest.approx(float(one), abs=0.05) for one in TABLE_2.split()]
 
 
+def scene_record(member: Member) -> SceneRecord:
+    assert isinstance(member.scene.source, Clevr)
+    return member.scene.source.stated()
+
+
 @pytest.mark.parametrize("name", VQA.curves)
 def test_the_campaigns_are_of_scenes_that_no_training_used_and_at_least_as_large_as_the_papers(name: str) -> None:
     campaign = parse(json.loads((EXAMPLES / f"paper-{name}.json").read_text("utf-8")))
     assert campaign.name == f"paper-{name}"
     for grid in campaign.grids:
-        assert grid.generate is not None
+        assert isinstance(grid.generate, QuestionGrid)
         assert min(grid.generate.size) >= 224
         assert grid.generate.shadows
-        assert {record.split for member in [grid.sample()] if (record := member.record)} == {"new"}
+        assert scene_record(grid.sample()).split == "new"
         assert [target.name for target in grid.targets] == ["iep"]
         assert grid.selection.prefer == "listed"
 
@@ -121,17 +130,17 @@ def test_a_campaign_with_questions_becomes_a_record_that_says_the_same(tmp_path:
     again = load(tmp_path / "record.json")
     assert again == made
     right = [one for one in asked() if one.answer == commonest()]
-    members = {member.questions[0].question: member for member in parse(GRIDS).grids[0].members()}
+    every = [one for one in parse(GRIDS).grids[0].members() if isinstance(one, QuestionMember)]
+    members = {member.questions[0].question: member for member in every}
     assert len(again.jobs) == 2 * len(right)
     for one in again.jobs:
         [about] = one.questions
         member = members[about.text]
-        assert member.record is not None
-        assert one.mesh == member.record.image_filename.removesuffix(".png")
+        assert one.mesh == scene_record(member).image_filename.removesuffix(".png")
         program = member.questions[0].program
         assert program is not None
         assert about.functions == tuple(node.function for node in program.nodes)
-        assert (about.family, about.right) == ("zero_hop", answer(program, Facts.of(member.record)))
+        assert (about.family, about.right) == ("zero_hop", answer(program, Facts.of(scene_record(member))))
         assert (about.before, about.after) == (one.before, one.after)
         assert (about.first is None) == (not one.success)
     image = next(one for one in again.jobs if one.attack == "image")

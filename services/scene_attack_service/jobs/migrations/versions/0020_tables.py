@@ -1,9 +1,9 @@
-"""All tables. 0001 to 0018 were an earlier history: a database of theirs must not be taken for one of this."""
+"""All tables. 0001 to 0019 were an earlier history: a database of theirs must not be taken for one of this."""
 
 import sqlalchemy as sa
 from alembic import op
 
-revision = "0019"
+revision = "0020"
 down_revision = None
 branch_labels = None
 depends_on = None
@@ -69,7 +69,7 @@ def upgrade() -> None:
         sa.Column("renderer", sa.String(300)),
         sa.Column("method", sa.String(300)),
         sa.Column("target", sa.String(300)),
-        sa.Column("question", sa.String(300)),
+        sa.Column("asked", sa.String(300)),
         sa.Column("title", sa.String(100)),
         sa.Column("note", sa.Text()),
         sa.Column("tags", sa.JSON()),

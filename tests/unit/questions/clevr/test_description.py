@@ -14,7 +14,6 @@ from scene_attack.scenes.primitives import primitive
 from scene_attack.scenes.view import camera_to_world, model_matrix
 from scene_attack_questions.clevr import description
 from scene_attack_questions.clevr.description import (
-    Generate,
     describe,
     nearest_color,
     other_readings,
@@ -25,6 +24,7 @@ from scene_attack_questions.clevr.description import (
 )
 from scene_attack_questions.clevr.generator import generate
 from scene_attack_questions.clevr.records import RGB, CameraRecord, Rig, SceneRecord, relationships
+from scene_attack_questions.source import Generate
 
 SCENES = [generate(5, k) for k in range(12)]
 

@@ -19,15 +19,15 @@ WORDS = next(words for words, known in TAUGHT.items() if known == COUNT)
 
 
 def asking(*questions: object) -> JobSpec:
-    where = {"record": RECORD.model_dump(mode="json"), "scene": SCENE.model_dump(mode="json")}
-    asked = {"name": INFO.name, "questions": questions}
+    source = {"format": "clevr", "record": RECORD.model_dump(mode="json")}
+    where = {"scene": SCENE.model_dump(mode="json") | {"source": source}}
+    asked = {"name": INFO.name, "ask": {"questions": questions}}
     return parse(where | {"target": asked, "attack": {"renderer": "pyrender", "method": "zoo"}})
 
 
 def asking_one(question: object) -> JobSpec:
-    spec = asking()
-    target_of = spec.target.model_dump(mode="json") | {"question": question}
-    return parse(spec.model_dump(mode="json") | {"target": target_of})
+    target_of = {"name": INFO.name, "ask": {"question": question}}
+    return parse(asking().model_dump(mode="json") | {"target": target_of})
 
 
 def test_it_has_the_questions_and_what_the_search_leaves_out() -> None:
@@ -39,7 +39,7 @@ def test_it_has_the_questions_and_what_the_search_leaves_out() -> None:
         found = plan(asking(COUNT.written(), WORDS), LIBRARY)
         with pytest.raises(InvalidRequest, match="there are 4"):
             plan(asking(program("scene", "unique 0", "query_size 1").written()), LIBRARY)
-    assert [(one.question, one.program, one.kind, one.right) for one in found.questions] == [
+    assert [(one.question, one.program, one.kind, one.right) for one in found.tasks["questions"].questions] == [
         (words, COUNT.written(), "integer", "4") for words in (None, WORDS)
     ]
     listed = {item.part: (item.kept, item.of) for item in found.items if item.what == "coordinates" and item.part}
@@ -47,4 +47,4 @@ def test_it_has_the_questions_and_what_the_search_leaves_out() -> None:
 
 
 def test_without_a_question_it_is_the_renderer_s() -> None:
-    assert "questions" not in plan(parse({"scene": SPHERE}), LIBRARY).model_dump(mode="json")
+    assert "tasks" not in plan(parse({"scene": SPHERE}), LIBRARY).model_dump(mode="json")

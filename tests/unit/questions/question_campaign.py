@@ -13,6 +13,7 @@ from scene_attack.runs.campaign_spec import parse
 from scene_attack.runs.prepare import prepare_exactly
 from scene_attack.targets import registry
 from scene_attack_questions.generator import QuestionRecord
+from scene_attack_questions.grid import QuestionMember
 from scene_attack_questions.iep.checkpoint import Checkpoint
 from scene_attack_questions.iep.target import IepTarget
 from scene_attack_questions.program import Program
@@ -38,7 +39,12 @@ GRIDS = {"grids": [GRID]}
 
 def asked() -> list[QuestionRecord]:
     """The questions of GRID, in order."""
-    return [question for member in parse(GRIDS).grids[0].members() for question in member.questions]
+    return [
+        question
+        for member in parse(GRIDS).grids[0].members()
+        if isinstance(member, QuestionMember)
+        for question in member.questions
+    ]
 
 
 @cache
