@@ -15,6 +15,7 @@ import typer
 from scene_attack.cli.console import FittedTable, err, remark, say, state_text
 from scene_attack.errors import JobFailure
 from scene_attack.process import program
+from scene_attack.targets.info import TARGETS
 
 if TYPE_CHECKING:
     from scene_attack.client.client import Client
@@ -50,13 +51,13 @@ QUESTION: dict[str, Any] = {
 
 
 def specs() -> list[dict[str, Any]]:
-    """One request per scene and attack, and that of the question."""
+    """One request per scene and attack, and that of the question where the plug-in that asks it is installed."""
     furniture = [
         {"scene": scene, "goal": {"leave": label}, "attack": attack}
         for label, scene in SCENES.items()
         for attack in ATTACKS
     ]
-    return [*furniture, QUESTION]
+    return [*furniture, QUESTION] if QUESTION["target"]["name"] in TARGETS else furniture
 
 
 LOOK_EVERY = 0.5
