@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 
 MODULE = "module"
 """The name of a network that is given none."""
-_PARTS = ("name", "labels", "input_size", "differentiable", "takes_question", "weights_sha256", "backend")
+_PARTS = ("name", "labels", "input_size", "differentiable", "weights_sha256", "backend")
 """Attributes of a target."""
 
 

@@ -297,7 +297,6 @@ class Together:
     """
 
     labels = TOGETHER_LABELS
-    takes_question = False
 
     def __init__(self, target: ProgramTarget, asked: Sequence[str], goals: Sequence[ResolvedGoal]) -> None:
         self.name, self.input_size = target.name, target.input_size

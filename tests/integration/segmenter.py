@@ -27,7 +27,6 @@ CARD = TargetInfo(
     input_size=(32, 32),
     classes=2,
     differentiable=True,
-    takes_question=True,
     source="written for a test",
     licence="Apache-2.0",
     example="0.05",
@@ -78,7 +77,7 @@ class Segmented(ResultPart):
 class Segmenter:
     """The network."""
 
-    name, labels, input_size, differentiable, takes_question = CARD.name, LABELS, CARD.input_size, True, True
+    name, labels, input_size, differentiable = CARD.name, LABELS, CARD.input_size, True
     weights_sha256, backend = "0" * 64, "none"
 
     def outputs(self, images: torch.Tensor) -> torch.Tensor:
@@ -95,7 +94,7 @@ class Segmenter:
 class Asked:
     """The network with its share: scores [B, 2] of "seen" and "gone"."""
 
-    name, labels, input_size, differentiable, takes_question = CARD.name, LABELS, CARD.input_size, True, False
+    name, labels, input_size, differentiable = CARD.name, LABELS, CARD.input_size, True
     weights_sha256, backend = Segmenter.weights_sha256, Segmenter.backend
 
     def __init__(self, network: Segmenter, share: float) -> None:

@@ -34,13 +34,12 @@ from scene_attack.runs.described import can_carry
 from scene_attack.runs.result import JobPlan
 from scene_attack.runs.spec import AskedGoal, JobSpec, asked_goal
 from scene_attack.runs.task import Settled, Task
-from scene_attack.runs.task_parts import TASKS, Part
+from scene_attack.runs.task_parts import TASKS, Part, models_of
 from scene_attack.scenes.description import Environment
 from scene_attack.scenes.library import Library
 from scene_attack.scenes.resolve import ResolvedScene, resolve
 from scene_attack.targets import registry
-from scene_attack.targets.info import TARGETS
-from scene_attack.targets.protocol import Target
+from scene_attack.targets.protocol import QuestionTarget, Target
 from scene_attack.text import there_are
 
 SURROGATE = "attack.surrogate"
@@ -223,8 +222,8 @@ def check_analysis(spec: JobSpec) -> None:
         field = f"analysis.transfer.targets.{index}"
         with at_field(field):
             registry.labels(name)
-        if TARGETS[name].info.takes_question:
-            raise InvalidRequest(field, f"{name} answers questions; an image is shown to it without one")
+        if models_of("ask", name):
+            raise InvalidRequest(field, f"{name} must be asked something; an image is shown to it without that")
     drawing = [
         name
         for name, declaration in RENDERERS.items()
@@ -308,7 +307,7 @@ def surrogate(spec: JobSpec, labels: tuple[str, ...], settled: Settled) -> Surro
 
     The labels to leave, or the label to reach, are looked up by name; where the surrogate has none of those to leave,
     its own table says what is right for the scene. Raises InvalidRequest("attack.surrogate") for a network that cannot
-    be loaded, that answers questions, whose scores have no gradients, or whose labels do not have the goal.
+    be loaded, that must be asked something, whose scores have no gradients, or whose labels do not have the goal.
     """
     name = spec.attack.guide
     if name is None:
@@ -316,8 +315,8 @@ def surrogate(spec: JobSpec, labels: tuple[str, ...], settled: Settled) -> Surro
     card = registry.card(name)
     with at_field(SURROGATE):
         target = registry.load(name)
-    if target.takes_question:
-        raise InvalidRequest(SURROGATE, f"{name} answers questions; it is asked without one")
+    if isinstance(target, QuestionTarget):
+        raise InvalidRequest(SURROGATE, f"{name} must be asked something; an image is shown to it without that")
     if not registry.has_gradient(name):
         raise InvalidRequest(SURROGATE, f"the scores of {name} have no gradients ({registry.no_gradient(name)})")
     goal, reach = settled.goal, settled.goal.reach

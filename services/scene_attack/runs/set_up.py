@@ -147,7 +147,6 @@ def read_folder(folder: Path, allowed: AllowList, name: str) -> RegisteredTarget
         input_size=card.preprocessing.input_size,
         classes=len(labels),
         differentiable=_differentiable(file, card),
-        takes_question=False,
         source=card.source,
         licence=card.licence,
         vocabulary="imagenet" if card.labels == "imagenet" else "custom",

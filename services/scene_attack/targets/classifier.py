@@ -35,7 +35,6 @@ class Classifier:
     scores_only: str | None = None
     """The reason for which the network has no gradients; None if it has."""
     differentiable: bool = field(default=True, init=False)
-    takes_question: bool = field(default=False, init=False)
 
     def __post_init__(self) -> None:
         self.differentiable = self.scores_only is None

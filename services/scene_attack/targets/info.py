@@ -37,7 +37,6 @@ class TargetInfo(BaseModel):
     classes: int
     differentiable: bool | None
     """Whether scores have a gradient with respect to the image; None if that is known once the network is loaded."""
-    takes_question: bool
     source: str
     licence: str
     vocabulary: Vocabulary = "custom"

@@ -6,7 +6,7 @@ from torch import Tensor
 
 
 class Target(Protocol):
-    """A network that turns images into scores for a fixed list of labels. One that answers questions is asked first."""
+    """A network that turns images into scores for a fixed list of labels."""
 
     @property
     def name(self) -> str:
@@ -26,11 +26,6 @@ class Target(Protocol):
     @property
     def differentiable(self) -> bool:
         """Whether scores are differentiable with respect to the images."""
-        ...
-
-    @property
-    def takes_question(self) -> bool:
-        """Whether it is a `QuestionTarget`, which has scores only once it is asked."""
         ...
 
     @property
@@ -55,7 +50,7 @@ class Target(Protocol):
 
 @runtime_checkable
 class QuestionTarget(Target, Protocol):
-    """A target that answers questions. A question is one text."""
+    """A target that has scores only once it is asked something. A question is one text."""
 
     def asked(self, question: str) -> Target:
         """Returns the network with this question, whose `logits` are the scores of the answers."""

@@ -20,7 +20,6 @@ CARD = TargetInfo(
     input_size=(240, 320),
     classes=len(ANSWERS),
     differentiable=True,
-    takes_question=True,
     source="trained by this project: python -m training iep",
     licence="Apache-2.0",
     vocabulary="clevr",

@@ -38,7 +38,6 @@ class Asked:
 
     network: IepTarget
     question: str
-    takes_question: bool = field(default=False, init=False)
     differentiable: bool = field(default=True, init=False)
     labels: tuple[str, ...] = field(default=ANSWERS, init=False)
     input_size: tuple[int, int] = field(default=IMAGE, init=False)
@@ -66,7 +65,6 @@ class Asked:
 class IepTarget:
     """A frozen network with the generator of its programs on the configured device; implements `ProgramTarget`."""
 
-    takes_question = True
     differentiable = True
     labels = ANSWERS
     input_size = IMAGE

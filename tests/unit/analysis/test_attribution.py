@@ -41,7 +41,6 @@ class Built:
     labels = ("yes", "no")
     input_size = (3, 3)
     differentiable = True
-    takes_question = False
     weights_sha256 = "0" * 64
     backend = "built"
 

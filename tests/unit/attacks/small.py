@@ -105,7 +105,6 @@ class LinearTarget:
     name = "linear"
     input_size = (4, 5)
     differentiable = True
-    takes_question = False
     weights_sha256 = "0" * 64
     backend = "linear"
 

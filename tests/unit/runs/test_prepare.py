@@ -142,7 +142,6 @@ def known(classes: int, differentiable: bool | None = None) -> AbstractContextMa
         input_size=(8, 8),
         classes=classes,
         differentiable=differentiable,
-        takes_question=False,
         source="this test",
         licence="none",
     )

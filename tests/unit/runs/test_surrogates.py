@@ -52,7 +52,6 @@ def card(of: Other) -> TargetInfo:
         input_size=(4, 5),
         classes=len(of.labels),
         differentiable=None,
-        takes_question=False,
         source="this test",
         licence="none",
     )

@@ -32,7 +32,7 @@ def _unregistered() -> Iterator[None]:
 def add(labels: Labels, load: Callable[..., Any], **card: Any) -> None:
     """Registers a target "mine" of these labels and this loader."""
     about: dict[str, Any] = {"title": "Mine", "task": "classification", "input_size": SIZE, "classes": 3}
-    about |= {"differentiable": True, "takes_question": False, "source": "a test", "licence": "CC0-1.0"}
+    about |= {"differentiable": True, "source": "a test", "licence": "CC0-1.0"}
     register(TargetInfo.model_validate(about | {"name": "mine"} | card), labels)(load)
 
 

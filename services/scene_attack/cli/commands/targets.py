@@ -61,7 +61,7 @@ def check(
 ) -> None:
     """Load a network, show it a view, and print its card, its answers, whether it has gradients, and its speed.
 
-    A network that answers questions about scenes after CLEVR is asked one about a generated scene.
+    A network that must be asked something is asked the example of its task.
 
     The exit code is 2 if it cannot be used; the message says why.
     """

@@ -53,7 +53,6 @@ class Endpoint:
     most_seconds: float = 60.0
     """Longest time from the connection to the last byte of an answer."""
     differentiable: bool = field(default=False, init=False)
-    takes_question: bool = field(default=False, init=False)
     scores_only: str = field(default="a URL answers with scores only", init=False)
     """The reason for which it has no gradients."""
 

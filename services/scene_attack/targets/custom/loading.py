@@ -25,7 +25,7 @@ from scene_attack.targets.custom import exported
 from scene_attack.targets.custom.card import AllowList, Card, Preprocessing
 from scene_attack.targets.custom.endpoint import Endpoint
 from scene_attack.targets.info import TargetInfo, Vocabulary
-from scene_attack.targets.protocol import Target
+from scene_attack.targets.protocol import QuestionTarget, Target
 from scene_attack.targets.weights_file import read_tensors
 
 
@@ -290,11 +290,10 @@ def describe(name: str, target: Target, vocabulary: Vocabulary = "custom") -> Ta
     return TargetInfo(
         name=name,
         title=name,
-        task="questions" if target.takes_question else "classification",
+        task="questions" if isinstance(target, QuestionTarget) else "classification",
         input_size=target.input_size,
         classes=len(target.labels),
         differentiable=target.differentiable,
-        takes_question=target.takes_question,
         source="passed in the process",
         licence="not stated",
         vocabulary=vocabulary,
