@@ -142,17 +142,22 @@ def schema_of(models: Sequence[type[BaseModel]], handler: GetJsonSchemaHandler) 
 
 
 Item = TypeVar("Item")
+Held = TypeVar("Held")
+Given = TypeVar("Given")
 
 if TYPE_CHECKING:
 
-    class Several(Generic[Item]):
-        """What type checkers know of a field that takes a list or a tuple, and is a tuple. They do not know what
+    class Converted(Generic[Held, Given]):
+        """What type checkers know of a field that holds something else than it may be given. They do not know what
         pydantic converts, but they do know descriptors.
         """
 
-        def __get__(self, model: object, owner: type | None = None) -> tuple[Item, ...]: ...
+        def __get__(self, model: object, owner: type | None = None) -> Held: ...
 
-        def __set__(self, model: object, given: Sequence[Item]) -> None: ...
+        def __set__(self, model: object, given: Given) -> None: ...
+
+    class Several(Converted[tuple[Item, ...], Sequence[Item]], Generic[Item]):
+        """A field that takes a list or a tuple, and is a tuple."""
 else:
     Several = tuple[Item, ...]
 

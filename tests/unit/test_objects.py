@@ -319,6 +319,9 @@ first: sa.Object = scene.objects[0]
 name: str = first.mesh
 attack = sa.FGSM(renderer="torch", groups=["illumination"])
 result = sa.attack(sa.renderer(scene), "efficientnet-lite0", attack, goal=sa.Goal(truth="chair"))
+columns = [{"name": "light", "attack": attack}]
+grid = sa.Grid(scenes=[scene], targets=["efficientnet-lite0"], attacks=columns, selection={"right": False})
+campaign = sa.Campaign(name="cubes", grids=[grid])
 sa.Object(mesh=5)
 """
     (tmp_path / "program.py").write_text(program)
@@ -328,7 +331,7 @@ sa.Object(mesh=5)
         [sys.executable, "-m", "mypy", *options], cwd=tmp_path, capture_output=True, text=True, check=False
     )
     first, *others = done.stdout.splitlines()
-    assert first.startswith('program.py:12: error: Argument "mesh" to "SceneObject" has incompatible type "int"')
+    assert first.startswith('program.py:15: error: Argument "mesh" to "SceneObject" has incompatible type "int"')
     assert others == ["Found 1 error in 1 file (checked 1 source file)"]
 
 

@@ -5,10 +5,11 @@ meshes × views with one object each, or are made for the networks' task with wh
 not import torch.
 """
 
+from collections.abc import Mapping, Sequence
 from itertools import zip_longest
 from math import pi
 from random import Random
-from typing import Annotated, Any, Literal, Self, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeVar
 
 from pydantic import (
     AfterValidator,
@@ -194,14 +195,30 @@ def _by_name(target: Any) -> Any:
 NamedTarget = Annotated[TargetChoice, BeforeValidator(_by_name, json_schema_input_type=str | TargetChoice)]
 
 
+# What type checkers know of the fields of a grid: lists are taken, and dictionaries in place of models.
+if TYPE_CHECKING:
+    from scene_attack.strict import Converted
+
+    Part = Mapping[str, Any]
+    GivenScenes = Converted[SceneGrid | tuple[Scene, ...] | None, SceneGrid | Part | Sequence[Scene | Part] | None]
+    GivenTargets = Converted[tuple[TargetChoice, ...], Sequence[TargetChoice | Part | str]]
+    GivenColumns = Converted[tuple[Column, ...], Sequence[Column | Part]]
+    GivenSelection = Converted[Selection, Selection | Part]
+else:
+    GivenScenes = SceneGrid | Annotated[tuple[Scene, ...], Field(min_length=1, max_length=MAX_LISTED)] | None
+    GivenTargets, GivenColumns, GivenSelection = tuple[NamedTarget, ...], tuple[Column, ...], Selection
+
+
 class Grid(Model):
     """All combinations of scenes, targets, attacks and seeds."""
 
-    scenes: SceneGrid | Annotated[tuple[Scene, ...], Field(min_length=1, max_length=MAX_LISTED)] | None = Field(
-        default=None, exclude_if=absent, description="scenes, or meshes and views to make them of"
+    scenes: GivenScenes = Field(
+        default=None,  # type: ignore[arg-type]
+        exclude_if=absent,
+        description="scenes, or meshes and views to make them of",
     )
-    targets: tuple[NamedTarget, ...] = Field(
-        default=(TargetChoice(),),
+    targets: GivenTargets = Field(
+        default=(TargetChoice(),),  # type: ignore[arg-type]
         min_length=1,
         max_length=32,
         description="the networks; each is a row of the table; one that is asked nothing may be written as its name",
@@ -211,14 +228,14 @@ class Grid(Model):
         exclude_if=absent,
         description="in place of `scenes`: scenes for the task of the networks to make, and what is asked about each",
     )
-    attacks: tuple[Column, ...] = Field(min_length=1, max_length=64)
+    attacks: GivenColumns = Field(min_length=1, max_length=64)
     seeds: Several[Seed] = Field(default=(0,), min_length=1, max_length=1000)  # type: ignore[arg-type]
     goal: Goal = Field(default=Goal(), description="the goal of every job; the truth is each scene's own")
     tolerance: AnyTolerance = DEFAULT_TOLERANCE
     analysis: AnalysisRequest = Field(
         default=AnalysisRequest(), description="analyses to make after each attack; default none"
     )
-    selection: Selection = Field(default=Selection(), description="which views are attacked")
+    selection: GivenSelection = Field(default=Selection(), description="which views are attacked")  # type: ignore[arg-type]
 
     @field_validator("goal")
     @classmethod

@@ -92,13 +92,9 @@ def _as_written(mesh: object, handler: ValidatorFunctionWrapHandler) -> Any:
 MeshName = Annotated[str, Field(min_length=1, max_length=200), reference("mesh"), WrapValidator(_as_written)]
 
 if TYPE_CHECKING:
+    from scene_attack.strict import Converted
 
-    class GivenMesh:
-        """What type checkers know of a mesh's name: a path and arrays are taken, too (see `Several`)."""
-
-        def __get__(self, thing: object, owner: type | None = None) -> str: ...
-
-        def __set__(self, thing: object, given: str | PurePath | MeshArrays) -> None: ...
+    GivenMesh = Converted[str, str | PurePath | MeshArrays]
 else:
     GivenMesh = MeshName
 
