@@ -10,11 +10,11 @@ from __future__ import annotations
 import io
 import os
 import re
+from asyncio import get_running_loop, run_coroutine_threadsafe, to_thread
 from asyncio import sleep as async_sleep
-from asyncio import to_thread
 from collections.abc import AsyncIterator, Callable, Coroutine, Iterator, Mapping
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 from pathlib import Path
 from time import sleep
 from types import TracebackType
@@ -415,16 +415,10 @@ class Client:
         `spec` is sa.Spec or what it says as a dictionary, whose parts may be objects. A mesh is a path relative to
         `folder` (default: the working directory), or sa.Mesh. `say` is told what is uploaded. Raises InvalidFields,
         which has every wrong field, for a mesh that cannot be uploaded, InvalidRequest for a network or a renderer of
-        this process, and ApiError as `submit_job` does.
+        this process, and ApiError with status 422, which names every invalid field.
         """
-        data = _portable(spec)
-        return Job(
-            sent(data, Path.cwd() / folder, self.call, lambda data: operations.submit_job(data, **asked), say), self
-        )
-
-    def submit_job(self, spec: JobSpec | Mapping[str, Any], **asked: Unpack[Submission]) -> Job:
-        """Queues a job; ApiError with status 422 names every invalid field."""
-        return Job(self.call(operations.submit_job(spec, **asked)), self)
+        request = partial(operations.submit_job, **asked)
+        return Job(sent(_portable(spec), Path.cwd() / folder, self.call, request, say), self)
 
     def get_job(self, job_id: str) -> Job:
         """One job by its id."""
@@ -440,9 +434,17 @@ class Client:
             yield from page.items
             cursor, first = page.next, False
 
-    def submit_campaign(self, spec: CampaignSpec | Mapping[str, Any], **asked: Unpack[Submission]) -> CampaignView:
-        """Starts a campaign."""
-        return self.call(operations.submit_campaign(spec, **asked))
+    def submit_campaign(
+        self,
+        spec: CampaignSpec | Mapping[str, Any],
+        *,
+        folder: Path | str = "",
+        say: Callable[[str], None] = lambda _: None,
+        **asked: Unpack[Submission],
+    ) -> CampaignView:
+        """Starts a campaign; uploads meshes and raises as `submit` does."""
+        request = partial(operations.submit_campaign, **asked)
+        return sent(_portable(spec), Path.cwd() / folder, self.call, request, say)
 
     def list_campaigns(self) -> Iterator[CampaignSummary]:
         """All campaigns, newest first."""
@@ -462,7 +464,7 @@ class Client:
 
 
 class AsyncClient:
-    """`Client` for asyncio: `async with AsyncClient() as client: job = await client.submit_job(spec)`."""
+    """`Client` for asyncio: `async with AsyncClient() as client: job = await client.submit(spec)`."""
 
     def __init__(
         self, url: str | None = None, *, key: str | None = None, transport: httpx.AsyncBaseTransport | None = None
@@ -505,9 +507,22 @@ class AsyncClient:
             if not stream.ended():
                 await async_sleep(stream.pause())
 
-    async def submit_job(self, spec: JobSpec | Mapping[str, Any], **asked: Unpack[Submission]) -> AsyncJob:
-        """Queues a job; ApiError with status 422 names every invalid field."""
-        return AsyncJob(await self.call(operations.submit_job(spec, **asked)), self)
+    async def submit(
+        self,
+        spec: JobSpec | Mapping[str, Any],
+        *,
+        folder: Path | str = "",
+        say: Callable[[str], None] = lambda _: None,
+        **asked: Unpack[Submission],
+    ) -> AsyncJob:
+        """As `Client.submit`; meshes are read in another thread."""
+        request = partial(operations.submit_job, **asked)
+        return AsyncJob(await to_thread(sent, _portable(spec), Path.cwd() / folder, self._caller(), request, say), self)
+
+    def _caller(self) -> Callable[[Request[Any]], Any]:
+        """`call` for another thread, while the loop of this one runs."""
+        loop = get_running_loop()
+        return lambda request: run_coroutine_threadsafe(self.call(request), loop).result()
 
     async def get_job(self, job_id: str) -> AsyncJob:
         """One job by its id."""
@@ -525,10 +540,16 @@ class AsyncClient:
             cursor, first = page.next, False
 
     async def submit_campaign(
-        self, spec: CampaignSpec | Mapping[str, Any], **asked: Unpack[Submission]
+        self,
+        spec: CampaignSpec | Mapping[str, Any],
+        *,
+        folder: Path | str = "",
+        say: Callable[[str], None] = lambda _: None,
+        **asked: Unpack[Submission],
     ) -> CampaignView:
-        """Starts a campaign."""
-        return await self.call(operations.submit_campaign(spec, **asked))
+        """As `Client.submit_campaign`; meshes are read in another thread."""
+        request = partial(operations.submit_campaign, **asked)
+        return await to_thread(sent, _portable(spec), Path.cwd() / folder, self._caller(), request, say)
 
     async def list_campaigns(self) -> AsyncIterator[CampaignSummary]:
         """All campaigns, newest first."""
@@ -548,7 +569,7 @@ class AsyncClient:
         return await self.call(operations.upload_asset([Path(path)], kind, **about))
 
 
-def _portable(spec: JobSpec | Mapping[str, Any]) -> dict[str, Any]:
+def _portable(spec: JobSpec | CampaignSpec | Mapping[str, Any]) -> dict[str, Any]:
     """A request as data. Raises InvalidRequest for a part that only this process has."""
     data = as_data("spec", spec)
     for field, part in data.items():

@@ -4,6 +4,7 @@ import asyncio
 import io
 import json
 import sys
+from collections.abc import Callable
 from http.server import BaseHTTPRequestHandler
 from pathlib import Path
 from types import SimpleNamespace
@@ -58,7 +59,7 @@ def test_a_job_is_submitted_watched_and_read(client: Client, script: Script) -> 
         says(202, job()), streams(RUNNING, progress(2), drop=True), streams(DONE), says(200, SUCCEEDED),
         says(200, png(), "image/png"), says(200, b'{"a": 1}'),
     ]  # fmt: skip
-    found = client.submit_job({"scene": {}}, priority="high").wait()
+    found = client.submit({"scene": {}}, priority="high").wait()
     assert found.data.model_dump(mode="json") == SUCCEEDED
     assert found.verified == SUCCEEDED["result"]["verdict"]["verified"]
     assert [row.step for row in found.trace] == [row["step"] for row in SUCCEEDED["result"]["trace"]]
@@ -79,7 +80,7 @@ def test_the_same_by_asyncio(client: Client, script: Script) -> None:
 
     async def run() -> None:
         async with AsyncClient(client.url) as service:
-            found = await (await service.submit_job({"scene": {}})).wait()
+            found = await (await service.submit({"scene": {}})).wait()
             assert found.data.model_dump(mode="json") == SUCCEEDED
             for _ in range(2):
                 assert (np.asarray(await found.images.attacked) == PIXELS).all()
@@ -148,7 +149,7 @@ def test_a_stream_of_an_unknown_job_is_refused_at_once(client: Client, script: S
 def test_a_busy_service_is_asked_again(client: Client, script: Script) -> None:
     full = says(503, {"detail": "as many jobs are queued as this service takes"}, Retry_After="4")
     script.answers = [BUSY, full, says(202, job())]
-    assert client.submit_job({}).id == ID
+    assert client.submit({}).id == ID
     assert script.pauses == [1.0, 4.0]
     script.answers = [BUSY, streams(RUNNING), BUSY, streams(DONE)]
     assert [event.number for event in client.stream_job_events("j")] == ["1", "3"]
@@ -181,7 +182,7 @@ def test_a_refusal_names_every_bad_field(client: Client, script: Script) -> None
     }
     script.answers = [says(422, problem, "application/problem+json")]
     with pytest.raises(ApiError) as refused:
-        client.submit_job({})
+        client.submit({})
     assert str(refused.value) == "scene.objects.0.mesh: no; seed: negative"
     assert refused.value.problem == problem
 
@@ -342,14 +343,30 @@ def test_the_key_and_the_url_may_be_given(client: Client, script: Script, monkey
 CORNERS = sa.Mesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
 
 
+def by_asyncio(client: Client, spec: sa.Spec) -> str:
+    async def submitted() -> str:
+        async with AsyncClient(client.url) as service:
+            return (await service.submit(spec, priority="high")).id
+
+    return asyncio.run(submitted())
+
+
+SUBMIT: dict[str, Callable[[Client, sa.Spec], str]] = {
+    "plainly": lambda client, spec: client.submit(spec, priority="high").id,
+    "by asyncio": by_asyncio,
+}
+
+
+@pytest.mark.parametrize("submit", SUBMIT.values(), ids=SUBMIT)
 @pytest.mark.parametrize("lacks", [True, False])
-def test_submit_uploads_a_mesh_that_the_service_lacks(client: Client, script: Script, lacks: bool) -> None:
+def test_submit_uploads_a_mesh_that_the_service_lacks(
+    client: Client, script: Script, lacks: bool, submit: Callable[[Client, sa.Spec], str]
+) -> None:
     uploaded = UPLOADED | {"name": str(CORNERS)}
     missing = says(404, {"detail": "there is no such upload"}, "application/problem+json")
     script.answers = [*([missing, says(201, uploaded)] if lacks else [says(200, uploaded)]), says(202, job())]
     scene = sa.Scene(objects=[sa.Object(mesh=CORNERS)])
-    submitted = client.submit(sa.Spec(scene=scene, attack=sa.FGSM(renderer="image", steps=3)), priority="high")
-    assert submitted.id == ID
+    assert submit(client, sa.Spec(scene=scene, attack=sa.FGSM(renderer="image", steps=3))) == ID
     look = f"GET /v1/assets/{CORNERS.removeprefix('sha256:')}"
     assert script.paths == [look, *(["POST /v1/assets"] if lacks else []), "POST /v1/jobs?priority=high"]
     assert json.loads(script.bodies[-1]) == {
@@ -357,6 +374,16 @@ def test_submit_uploads_a_mesh_that_the_service_lacks(client: Client, script: Sc
         "attack": {"method": "fgsm", "renderer": "image", "steps": 3},
     }
     assert not lacks or CORNERS.bundle.data in script.bodies[1]
+
+
+def test_a_campaign_s_meshes_are_uploaded_once(client: Client, script: Script) -> None:
+    script.answers = [says(200, UPLOADED | {"name": str(CORNERS)}), says(202, CAMPAIGN)]
+    scenes = [sa.Scene(camera=sa.Camera(azimuth=x), objects=[sa.Object(mesh=CORNERS)]) for x in (0.1, 0.2)]
+    grid = sa.Grid(scenes=scenes, attacks=[{"name": "a", "attack": sa.FGSM(renderer="image", steps=3)}])
+    client.submit_campaign(sa.Campaign(grids=[grid]))
+    assert script.paths == [f"GET /v1/assets/{CORNERS.removeprefix('sha256:')}", "POST /v1/campaigns"]
+    sent = json.loads(script.bodies[-1])["grids"][0]["scenes"]
+    assert [scene["objects"] for scene in sent] == [[{"mesh": str(CORNERS)}]] * 2
 
 
 def test_submit_refuses_what_only_this_process_has(client: Client, script: Script) -> None:

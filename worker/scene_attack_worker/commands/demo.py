@@ -92,7 +92,7 @@ def demo(
         remark(f"service at {url}, its log in {data / 'service.log'}")
         with Client(url) as client:
             _clear(client)
-            jobs = _watch(client, [client.submit_job(spec).id for spec in specs()])
+            jobs = _watch(client, [client.submit(spec).id for spec in specs()])
         say(_table(jobs), successes(job.outcome for job in jobs if job.outcome is not None))
         remark(*(f"{_name(job)} failed: {job.failure.detail}" for job in jobs if job.failure is not None))
         say(f"Dashboard: {url}")
