@@ -544,13 +544,15 @@ def _endpoint(url: str, name: str, labels: Any, preprocessing: Preprocessing, ou
 
 def _named(network: Any, options: Options, name: str = MODULE) -> tuple[str, Target | None]:
     """A network's name, and its target unless this name is known already."""
+    from scene_attack.owner import run
     from scene_attack.targets.info import TARGETS
     from scene_attack.targets.registry import load
 
     if isinstance(network, str) and not set(network) & {"/", "\\"}:
         return network, None
     made = _target(network, options, name)
-    listed = made.name in TARGETS and load(made.name) is made
+    # while an attack of another thread runs, its network is among the listed ones
+    listed = run(lambda _: made.name in TARGETS and load(made.name) is made)
     return made.name, None if listed else made
 
 
