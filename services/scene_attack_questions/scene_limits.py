@@ -8,7 +8,7 @@ and position of each light, and of each object its colour, its place on the plan
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from itertools import islice, product
 
 import torch
 from torch import Tensor
@@ -28,6 +28,8 @@ HALVINGS = 8
 """Halvings of the search for the largest share of a change that is allowed: a share is found to 1/256."""
 ROLL = 3
 """The coordinate of the group `camera` that turns the camera about its viewing direction."""
+MOST_READINGS = 1024
+"""Readings of a scene's colours that are looked at; a scene that can be read in more ways is not allowed."""
 UP = 1
 """The axis that points up: an object does not move along it, and turns about no other."""
 
@@ -52,21 +54,18 @@ class SceneLimits:
         """Whether a perturbation leaves the objects at allowed places, and the question's results unchanged."""
         if not can_carry(self._renderer, tuple(perturbation)):
             return True
+        if CAMERA in perturbation and perturbation[CAMERA][ROLL] != 0:
+            return False  # a scene has no roll, so that its record would not know of it
         scene, _, _ = described(self._scene, self._renderer, perturbation)
-        record, rig = self._attacked(perturbation, scene)
+        record, rig = record_after(self._record, scene), rig_after(self._record, scene.camera)
         try:
             check(record.objects, rig)
         except InvalidRequest:
             return False
-        read = (record, *_read_otherwise(record, scene))
-        return all(self._found(reading) == self._outputs for reading in read) and self._in_view(record.objects, rig)
-
-    def _attacked(self, perturbation: Parameters, scene: Scene) -> tuple[SceneRecord, Rig]:
-        """The record of the attacked scene, and its camera and lights."""
-        rig = rig_after(self._record, scene.camera)
-        if CAMERA in perturbation:
-            rig = replace(rig, roll=float(perturbation[CAMERA][ROLL]))  # which a scene does not have
-        return record_after(self._record, scene), rig
+        readings = list(islice(_readings(record, scene), MOST_READINGS + 1))
+        if len(readings) > MOST_READINGS:
+            return False
+        return all(self._found(one) == self._outputs for one in readings) and self._in_view(record.objects, rig)
 
     def _in_view(self, placed: Sequence[ObjectRecord], rig: Rig) -> bool:
         """Whether each object is seen in as many pixels as the generator asks for, or as at the start if fewer."""
@@ -128,12 +127,16 @@ class SceneLimits:
             return None
 
 
-def _read_otherwise(record: SceneRecord, scene: Scene) -> Iterator[SceneRecord]:
-    """The record with the colour of one object read as another name that is about as near."""
-    for k, (thing, shown) in enumerate(zip(record.objects, scene.objects, strict=True)):
-        for color in other_readings(shown.color):
-            other = thing.model_copy(update={"color": color})
-            yield record.model_copy(update={"objects": (*record.objects[:k], other, *record.objects[k + 1 :])})
+def _readings(record: SceneRecord, scene: Scene) -> Iterator[SceneRecord]:
+    """The record, and the record with the colours of objects read as other names that are about as near."""
+    names = [
+        (thing.color, *other_readings(shown.color)) for thing, shown in zip(record.objects, scene.objects, strict=True)
+    ]
+    for colors in product(*names):
+        both = zip(record.objects, colors, strict=True)
+        yield record.model_copy(
+            update={"objects": tuple(thing.model_copy(update={"color": color}) for thing, color in both)}
+        )
 
 
 _WHY = {
@@ -141,6 +144,7 @@ _WHY = {
     "translation": "objects stay on the plane; what overlaps, hides one, leaves the frame or changes the answer is "
     "kept out of the search",
     "rotation": "objects stay upright",
+    CAMERA: "the camera stays level: left and right are its own",
     "color": "no colour that the question asks about becomes another, or nearly; the others are free",
 }
 """Explanation of a group's limits in the plan."""
@@ -156,6 +160,8 @@ def _fixed(group: str, value: Tensor) -> Tensor:
     elif group == "rotation":
         mask[:] = True
         mask[:, UP] = False
+    elif group == CAMERA:
+        mask[ROLL] = True
     return mask
 
 

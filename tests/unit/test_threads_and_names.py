@@ -11,7 +11,7 @@ import pytest
 
 pytestmark = pytest.mark.slow
 
-BEFORE = '''
+BEFORE = """
 import threading
 from typing import Any
 
@@ -72,7 +72,7 @@ def in_the_other_thread(work) -> tuple[threading.Thread, list[Any]]:
     thread = threading.Thread(target=kept, name=OTHER)
     thread.start()
     return thread, answers
-'''
+"""
 
 
 def printed(code: str) -> str:
@@ -83,7 +83,7 @@ def printed(code: str) -> str:
 
 
 def test_a_target_that_another_thread_attacks_now_is_attacked_afterwards() -> None:
-    code = '''
+    code = """
 attacked, told = threading.Event(), threading.Event()
 shared = Gated(sa.target(network(0), labels=LABELS, preprocessing=LOOK), attacked, told)
 
@@ -99,12 +99,12 @@ first = sa.attack(SCENE, shared, ATTACK, progress=running)
 thread.join(WAIT)
 (second,) = answers
 print(second.attacked.answer == first.attacked.answer if isinstance(second, sa.Result) else second)
-'''
+"""
     assert printed(code) == "True\n"
 
 
 def test_the_network_of_another_thread_is_not_attacked_in_place_of_ones_own() -> None:
-    code = '''
+    code = """
 attacked, looks, ended = threading.Event(), threading.Event(), threading.Event()
 
 def forward() -> None:
@@ -127,5 +127,5 @@ thread.join(WAIT)
 (result,) = answers
 print(result.record.provenance.weights_sha256 == alone.record.provenance.weights_sha256)
 print(result.original.answer == alone.original.answer)
-'''
+"""
     assert printed(code) == "True\nTrue\n"

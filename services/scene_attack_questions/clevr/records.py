@@ -6,7 +6,7 @@ fields, `camera` and `lights`, without which a scene cannot be drawn again as it
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import atan, atan2, cos, hypot, sin, sqrt, tan
+from math import atan, atan2, hypot, sqrt, tan
 from pathlib import Path
 from random import Random
 from typing import Annotated, Literal, Self
@@ -72,15 +72,13 @@ LIGHT_JITTER = 1.0
 class Rig:
     """Positions of the camera and of the three point lights. The camera looks at the origin, +z up.
 
-    The defaults are the positions in CLEVR's base scene. `roll` turns the camera about its viewing direction to its
-    own left, radians.
+    The defaults are the positions in CLEVR's base scene.
     """
 
     camera: Vector = (7.4811, -6.5076, 5.3437)
     key: Vector = (6.4467, -2.9052, 4.2584)
     fill: Vector = (-4.6711, -4.0136, 3.0112)
     back: Vector = (-1.1685, 2.6460, 5.8157)
-    roll: float = 0.0
 
     @property
     def azimuth(self) -> float:
@@ -124,8 +122,6 @@ class Viewpoint:
         self.right: Vector = (-y / flat, x / flat, 0.0)
         self.behind: Vector = (-x / whole, -y / whole, -z / whole)
         self.up: Vector = (-x / flat * z / whole, -y / flat * z / whole, flat / whole)
-        if rig.roll:
-            self.right, self.up = _rolled(self.right, self.up, rig.roll)
 
     def in_camera(self, point: Vector) -> Vector:
         """Returns a point's distances from the eye to the right, upwards and along the viewing direction."""
@@ -147,16 +143,6 @@ class Viewpoint:
             depth * half - abs(offset) >= radius * sqrt(1 + half * half)
             for offset, half in ((right, 1 / (2 * FOCAL_LENGTH)), (up, tan(VERTICAL_FIELD_OF_VIEW / 2)))
         )
-
-
-def _rolled(right: Vector, up: Vector, roll: float) -> tuple[Vector, Vector]:
-    """Returns a camera's axes after a roll, as `scene_attack.scenes.view.camera_pose` turns them."""
-    (a, b, c), (d, e, f) = right, up
-    along, across = cos(roll), sin(roll)
-    return (
-        (along * a + across * d, along * b + across * e, along * c + across * f),
-        (along * d - across * a, along * e - across * b, along * f - across * c),
-    )
 
 
 Relation = Literal["left", "right", "front", "behind"]

@@ -1,16 +1,14 @@
 """The perturbations that a CLEVR scene allows, against distances, outlines and answers that are found here anew."""
 
-from dataclasses import replace
-from math import dist, hypot, pi, tan
+from math import dist, hypot
 
 import pytest
 import torch
 
 from scene_attack.rendering.protocol import Parameters
-from scene_attack.scenes.view import camera_pose
-from scene_attack_questions.clevr.description import describe, rig_of
+from scene_attack_questions.clevr.description import describe
 from scene_attack_questions.clevr.generator import generate
-from scene_attack_questions.clevr.records import RADIUS, RGB, VERTICAL_FIELD_OF_VIEW, SceneRecord, Viewpoint
+from scene_attack_questions.clevr.records import RADIUS, RGB, SceneRecord
 from scene_attack_questions.executor import Facts, answer, kind_asked
 from scene_attack_questions.program import Program
 from scene_attack_questions.scene_limits import SceneLimits
@@ -261,36 +259,3 @@ def test_an_object_is_not_hidden_behind_another() -> None:
     shorter = found.project(hidden)
     assert found.holds(shorter)
     assert 0 < float(shorter["translation"].norm()) < float(hidden["translation"].norm())
-
-
-@pytest.mark.parametrize("roll", [-2.0, -0.3, 0.4, 1.5])
-def test_a_rolled_camera_has_the_axes_of_the_renderer_s(roll: float) -> None:
-    rig = replace(rig_of(RECORD), roll=roll)
-    pose = camera_pose(rig.azimuth, rig.elevation, rig.distance, roll)
-    seen = Viewpoint(rig)
-    for axis, column in ((seen.right, 0), (seen.up, 1)):
-        x, y, z = axis
-        assert torch.tensor([x, z, -y]).tolist() == pytest.approx(pose[:3, column].tolist(), abs=1e-6)
-
-
-def at_a_side(record: SceneRecord) -> bool:
-    """Whether the centre of an object would be outside a square frame of the height of CLEVR's."""
-    seen = Viewpoint(rig_of(record))
-    places = [seen.in_camera(one.coords_3d) for one in record.objects]
-    return any(abs(right / depth) > tan(VERTICAL_FIELD_OF_VIEW / 2) for right, _, depth in places)
-
-
-def test_a_camera_that_rolls_objects_out_of_the_frame_is_turned_back() -> None:
-    """A frame of 4 to 3 that stands on end is narrower: an object at the side of the image is outside."""
-    record = next(one for k in range(100) if at_a_side(one := generate(8, k, objects=(5, 5))))
-    camera = {"camera": torch.zeros(4, dtype=torch.float64)}
-    limits = limits_of([question(COUNT, record)], camera)
-
-    def rolled(angle: float) -> Parameters:
-        return {"camera": torch.tensor([0.0, 0.0, 0.0, angle]).double()}
-
-    assert limits.holds(rolled(0.0))
-    assert not limits.holds(rolled(pi / 2))
-    moved = limits.project(rolled(pi / 2))
-    assert limits.holds(moved)
-    assert 0 < float(moved["camera"][3]) < pi / 2

@@ -45,4 +45,7 @@ def test_left_and_right_turn_with_the_camera(roll: float) -> None:
     asked = program("scene", "filter_shape 0 cube", "unique 1", "relate 2 left", "exist 3")
     change = {"camera": torch.tensor([0.0, 0.0, 0.0, roll]).double()}
     assert any(record.relationships["left"])
-    assert not limits(record, asked, "camera", change["camera"]).holds(change)
+    found = limits(record, asked, "camera", change["camera"])
+    assert not found.holds(change)
+    assert found.fixed["camera"].tolist() == [False, False, False, True]
+    assert found.project(change)["camera"].tolist() == [0.0] * 4
