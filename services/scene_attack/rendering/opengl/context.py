@@ -15,6 +15,8 @@ import subprocess
 import sys
 import threading
 from dataclasses import dataclass
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -221,6 +223,14 @@ def try_egl_devices() -> str:
     raise RuntimeError("; ".join(errors) or "no EGL device")
 
 
+def _load_triton() -> None:
+    """Imports Triton, where torch has it. Torch does so itself later, as in the first step of an optimiser, and Triton
+    crashes the process if Mesa has brought its LLVM into it before.
+    """
+    if find_spec("triton") is not None:
+        import_module("triton")
+
+
 def _check_once_a_draw(platform: str) -> None:
     """Tell PyOpenGL not to ask for errors after every call, which takes as long as drawing a small part: `draw` asks
     once, at its end. Read when OpenGL.GL is imported, which importing pyrender does."""
@@ -233,6 +243,7 @@ def _check_once_a_draw(platform: str) -> None:
 
 
 def _create(platform: str) -> Context:
+    _load_triton()
     _check_once_a_draw(platform)
     try:
         # A 1x1 window surface: everything is drawn into framebuffers of our own.
