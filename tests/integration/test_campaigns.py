@@ -98,3 +98,23 @@ def test_a_campaign_calls_uploads_by_their_titles(stack: Stack) -> None:
     ]
     assert ["p in the loop ×10⁻³" in columns for columns in heads].count(True) == 1
     assert all(len(set(columns)) == len(columns) for columns in heads)
+
+
+def test_a_campaign_of_questions_is_read_by_the_supervisor_too(stack: Stack) -> None:
+    """The models of its fields are a plug-in's, which every process that reads requests has to load."""
+    grid = {
+        "targets": ["iep"],
+        "generate": {"images": 2, "seed": 8, "objects": [3, 4], "kinds": ["zero_hop"], "size": [60, 80]},
+        "attacks": [{"name": "image", "attack": {"renderer": "image", "base_renderer": "pyrender", "steps": 1}}],
+        "selection": {"right": False},
+    }
+    answer = stack.client.post("/v1/campaigns", json={"name": "questions", "grids": [grid]})
+    assert answer.status_code == 202, answer.text
+    path = f"/v1/campaigns/{answer.json()['id']}"
+    ended = ("finished", "failed", "cancelled")
+    until(lambda: get(stack, path)["state"] in ended, "the campaign has ended")
+    assert get(stack, path)["state"] == "finished", get(stack, path)
+    jobs = get(stack, f"{path}/jobs")["items"]
+    asked = [stack.client.get(f"/v1/jobs/{job['job']}").json()["asked"] for job in jobs]
+    assert len(asked) == 2
+    assert all(asked)

@@ -9,7 +9,8 @@ from redis.exceptions import RedisError
 from sqlalchemy.exc import SQLAlchemyError
 
 from scene_attack.logs import configure, logger
-from scene_attack.process import check_device, program, use
+from scene_attack.process import check_device, program
+from scene_attack.runs.set_up import set_up
 from scene_attack_service.jobs.campaigns import Feeder
 from scene_attack_service.jobs.database import connect as connect_database
 from scene_attack_service.jobs.database import migrate
@@ -31,7 +32,7 @@ def run(values: Settings) -> int:
 
     Raises InvalidRequest if the device of the settings is not there, or the URL of Redis is missing or none.
     """
-    use(values)
+    set_up(values)  # the supervisor reads campaigns, whose fields may be a plug-in's
     check_device()
     configure("worker-supervisor")
     connect_redis(values.redis_url).close()  # refuses a URL that cannot be, before anything is made

@@ -22,7 +22,8 @@ from sqlalchemy import Engine
 
 from scene_attack.errors import InvalidRequest
 from scene_attack.logs import configure, logger
-from scene_attack.process import check_device, program, use
+from scene_attack.process import check_device, program
+from scene_attack.runs.set_up import set_up
 from scene_attack_service.access.keys import check_listening, listen
 from scene_attack_service.jobs.database import connect as connect_database
 from scene_attack_service.jobs.database import migrate
@@ -42,7 +43,7 @@ def serve(values: Settings) -> int:
     Raises InvalidRequest if the address is taken or the device of the settings is not there, if other machines reach
     the address and there is no key, and if another service runs on the data folder.
     """
-    use(values)
+    set_up(values)  # the supervisor reads campaigns, whose fields may be a plug-in's
     check_device()
     if values.redis_url is not None:
         connect_redis(values.redis_url).close()  # refuses a URL that cannot be, before anything is made

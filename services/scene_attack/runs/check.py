@@ -25,6 +25,11 @@ def most_jobs(campaign: CampaignSpec) -> int:
     return total
 
 
+def most_views(campaign: CampaignSpec) -> int:
+    """The largest number of views that the campaign may show to networks, without making their scenes."""
+    return sum(grid.count() * len(grid.targets) * _renderers(grid) for grid in campaign.grids) + len(campaign.jobs)
+
+
 MOST_JOBS = 10_000
 """Largest campaign, in jobs and in views: days of work for many processes, and a page that a browser still shows."""
 MOST_BYTES = 2_000_000
@@ -44,7 +49,7 @@ def check_size(campaign: CampaignSpec, limit: int = MOST_JOBS) -> None:
             f"the campaign may have {count:,} jobs, and the limit is {limit:,}; list fewer scenes, attacks or "
             "seeds, or set selection.most",
         )
-    asked = sum(grid.count() * len(grid.targets) * _renderers(grid) for grid in campaign.grids) + len(campaign.jobs)
+    asked = most_views(campaign)
     if asked > limit:
         raise InvalidRequest(
             "grids",

@@ -34,8 +34,8 @@ from scene_attack.runs.campaign_plan import (
     unfinished,
     views,
 )
-from scene_attack.runs.campaign_spec import CampaignSpec
-from scene_attack.runs.check import uploads_in
+from scene_attack.runs.campaign_spec import CampaignSpec, parse
+from scene_attack.runs.check import most_views, uploads_in
 from scene_attack.runs.result import Result
 from scene_attack.runs.spec import digest
 from scene_attack_service.jobs.database import Database, now
@@ -129,7 +129,7 @@ class Campaigns:
                 state=CampaignState.SELECTING,
                 spec=spec.model_dump(mode="json"),
                 created_at=now(session),
-                view_count=len(views(spec)),
+                view_count=most_views(spec),
                 key=None if key is None else key.stored,
                 owner=owner,
                 demand=asdict(demand),
@@ -419,7 +419,7 @@ class Feeder:
         if campaign_id not in self._expanded:
             with self._database.read() as session:
                 spec = session.scalars(select(Campaign.spec).where(Campaign.id == campaign_id)).one()
-            campaign = CampaignSpec.model_validate(spec)
+            campaign = parse(spec)
             self._expanded[campaign_id] = campaign, views(campaign)
 
     def _fail(self, campaign_id: str, why: str) -> None:
@@ -461,6 +461,7 @@ class Feeder:
                 "state": CampaignState.RUNNING,
                 "selected_at": now(session),
                 "views": [view.model_dump(mode="json") for view in chosen],
+                "view_count": len(expanded),  # until now the largest number that there may be
             }
             if not _change(session, campaign_id, [CampaignState.SELECTING], **values):
                 return  # paused or cancelled meanwhile, or planned by another supervisor
