@@ -156,9 +156,10 @@ class _OfTheTarget:
         def validate(data: object, info: ValidationInfo) -> Any:
             name = self._target(info.data)
             models = models_of(self._part, name)
+            if not models and name in TARGETS:
+                raise ValueError(self._refusal.format(name))
             if not models:
-                who = name if name in TARGETS else "every network"
-                raise ValueError(self._refusal.format(who))
+                raise ValueError("no installed task has this field; leave it out, or install the plug-in that has it")
             return _one_of(models).validate_python(data, context=info.context)  # its errors become those of the field
 
         return core_schema.with_info_plain_validator_function(validate)
@@ -207,7 +208,7 @@ else:
         _OfTheTarget(
             "cases",
             lambda data: data["targets"][0].name if "targets" in data else None,
-            "{} is shown scenes; give them as `scenes`",
+            "{} is shown scenes: give them as `scenes`, or name networks in `targets` that are asked something",
         ),
     ]
     PlanParts = Annotated[dict[str, Any], _ByTask("plan")]

@@ -302,6 +302,13 @@ def _objects_may_follow(schema: dict[str, Any]) -> None:
     del schema["required"]  # it is the only field without a default
 
 
+def _completed(follows: Any, stated: Any) -> Any:
+    """A part of a scene of which a request may state some fields, such as the camera's size; the rest follows."""
+    if isinstance(follows, Model) and isinstance(stated, dict):
+        return {name: getattr(follows, name) for name in follows.model_fields_set} | stated
+    return stated
+
+
 class Scene(Model):
     """A complete scene. Only `objects` has no default; with a `source`, what is left out follows from it."""
 
@@ -341,7 +348,8 @@ class Scene(Model):
         with below("source"):
             source = source.filled_in()
             follows = {} if "objects" in data else source.follows()
-        return {**follows, **data, "source": source}
+        stated = {name: _completed(follows.get(name), part) for name, part in data.items()}
+        return {**follows, **stated, "source": source}
 
     @field_validator("ground")
     @classmethod

@@ -69,6 +69,8 @@ class _Registered:
             if not isinstance(data, Mapping):
                 raise ValueError("must be an object with a `format`")
             name = data.get("format")
+            if not SOURCES:
+                raise ValueError("no installed plug-in has a format of scenes; leave it out, and describe the scene")
             if not isinstance(name, str) or name not in SOURCES:
                 raise ValueError(f"format: there is no {name!r}; {there_are(str(name), SOURCES)}")
             return SOURCES[name].model_validate(data, context=info.context)  # its errors become those of the field

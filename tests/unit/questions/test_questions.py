@@ -50,6 +50,14 @@ def test_a_record_or_a_seed_becomes_a_scene_with_its_record() -> None:
     assert digest(again) == digest(made) == digest(given)
 
 
+def test_a_part_of_the_scene_may_be_stated_and_the_rest_follows() -> None:
+    source = {"format": "clevr", "record": RECORD.model_dump(mode="json")}
+    spec = parse({"scene": {"source": source, "camera": {"size": [120, 160]}, "shadows": None}})
+    assert spec.scene.camera == describe(RECORD, (120, 160)).camera
+    assert spec.scene.shadows is None
+    assert spec.scene.objects == describe(RECORD).objects
+
+
 def test_clevr_s_generator_s_words_for_a_program_are_read() -> None:
     written = [{"type": "scene", "inputs": []}, {"type": "filter_color", "inputs": [0], "side_inputs": ["red"]}]
     spec = parse(asking([*written, {"type": "count", "inputs": [1]}]))
