@@ -11,7 +11,7 @@ from functools import cached_property
 from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, overload
 
 from scene_attack import disk
 from scene_attack.errors import InvalidFields, InvalidRequest, Unreadable
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from scene_attack.runs.replay import Replay
     from scene_attack.runs.spec import Goal, JobSpec
     from scene_attack.scenes.description import Scene
+    from scene_attack.targets.classifier import Classifier
     from scene_attack.targets.custom.card import Preprocessing
     from scene_attack.targets.info import TargetInfo
     from scene_attack.targets.protocol import Target
@@ -195,6 +196,26 @@ def load(folder: Path | str) -> Result:
     return Result(read_stored(Path(folder)).result, _files(Path(folder)))
 
 
+@overload
+def target(
+    network: nn.Module,
+    *,
+    labels: Sequence[str] | str | None = None,
+    preprocessing: Preprocessing | Mapping[str, Any] | None = None,
+    output: Literal["scores", "probabilities"] = "scores",
+    name: str = MODULE,
+    options: Options | None = None,
+) -> Classifier: ...
+@overload
+def target(
+    network: Network | str,
+    *,
+    labels: Sequence[str] | str | None = None,
+    preprocessing: Preprocessing | Mapping[str, Any] | None = None,
+    output: Literal["scores", "probabilities"] = "scores",
+    name: str = MODULE,
+    options: Options | None = None,
+) -> Target: ...
 def target(
     network: Network | str,
     *,
@@ -220,7 +241,7 @@ def target(
 
 
 def attack(
-    scene: Scene | Renderer | Mapping[str, Any] | None,
+    scene: Scene | Renderer | Mapping[str, Any],
     target: Network | str | Mapping[str, Any],
     attack: Attack | Mapping[str, Any] | None = None,
     *,
@@ -238,7 +259,7 @@ def attack(
     `tolerance` state none. An attack or a renderer of one's own is registered by the decorators of
     `scene_attack.plugin`, in a script as in a plug-in. `target` is a network of this process (see `target`), the name
     of one that `scene-attack targets` lists, or a request's `target`. `others` are further fields of a request:
-    `tolerance`, `analysis`, and, with None for the scene, `record` or `generate`. A `mesh` may be a path relative to
+    `tolerance` and `analysis`. A `mesh` may be a path relative to
     the working directory, "./chair.obj", or `sa.Mesh`. With `out`, the files are written into that folder while the
     attack runs; it may hold no other job's result. `options` default to those of the
     SCENE_ATTACK_ variables. Raises InvalidRequest, which names the field or the argument, for anything that cannot run,
@@ -358,16 +379,20 @@ class CampaignRun:
         return [load(folder) for _, folder in folder_results(self.folder)]
 
     def to_frame(self) -> DataFrame:
-        """A DataFrame with a line for each result: what was attacked, both answers, the outcome, p and the cost.
+        """A DataFrame with a line for each result: its column, what was attacked, both answers, the outcome, p, cost.
 
         Raises MissingExtra, which says how to install pandas, where it is not.
         """
         from scene_attack.client.client import pandas_module
-        from scene_attack.runs.spec import attack_name, scene_name
+        from scene_attack.runs.campaign_spec import CampaignSpec
+        from scene_attack.runs.spec import attack_name, parse, scene_name
 
         records: Any = [result.record for result in self.results]
+        spec = CampaignSpec.model_validate_json((self.folder / "campaign.json").read_bytes())
+        columns = {one.attack.model_dump_json(): one.name for grid in spec.grids for one in grid.attacks}
         rows = [
             {
+                "column": columns.get(parse(record.spec).attack.model_dump_json(), ""),
                 "scene": scene_name(record.spec),
                 "azimuth": record.spec["scene"]["camera"]["azimuth"],
                 "target": record.spec["target"]["name"],
@@ -459,6 +484,7 @@ def _target(
     output: str = "scores",
 ) -> Target:
     from torch import nn
+    from torch.jit import ScriptModule
 
     from scene_attack.targets.custom.loading import is_maite, scores_of, target_of
 
@@ -485,6 +511,9 @@ def _target(
             "must be a torch.nn.Module, a function of images [B, 3, H, W], a MAITE model, a folder, a URL, a name, or "
             f"a target, not {type(network).__name__}",
         )
+    if isinstance(network, ScriptModule):
+        detail = "is a TorchScript module, whose gradients cannot be turned off; give the module it was made of"
+        raise InvalidRequest("target", detail)
     if isinstance(network, nn.Module) and any(value.is_meta for value in network.state_dict().values()):
         raise InvalidRequest("target", "its weights are on the device meta, which has no values; load them first")
     chosen = _preprocessing(preprocessing)

@@ -6,7 +6,7 @@ after it name a request in lists and tables. `RerenderingSpec` is the request of
 needed, so that a request is checked before it is queued.
 """
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from hashlib import sha256
@@ -134,6 +134,13 @@ MAX_LABELS = 1000
 Label = Annotated[str, Field(min_length=1, max_length=LONGEST_LABEL)] | Annotated[int, Field(ge=0)]
 Labels = Label | Annotated[tuple[Label, ...], Field(max_length=MAX_LABELS)]
 
+if TYPE_CHECKING:
+    from scene_attack.strict import Converted
+
+    GivenLabels = Converted[Labels | None, Label | Sequence[Label] | None]
+else:
+    GivenLabels = Labels | None
+
 
 class Goal(Model):
     """The answer that the attack wants from the network. A label is a name or an index.
@@ -145,13 +152,13 @@ class Goal(Model):
     in: with the truth if that answer is right, else with that answer and the labels that mean the same.
     """
 
-    truth: Labels | None = Field(
-        default=None,
+    truth: GivenLabels = Field(
+        default=None,  # type: ignore[arg-type]
         description="the true label, or all labels that are right; where it is left out it is taken from the table of "
         "library meshes, else from `leave`; an empty list says that nobody knows it",
     )
-    leave: Labels | None = Field(
-        default=None,
+    leave: GivenLabels = Field(
+        default=None,  # type: ignore[arg-type]
         description="the label, or all labels, which the network must stop answering; where the truth is left out and "
         "the table has none, it is taken for the truth",
     )

@@ -95,8 +95,10 @@ def demo(
             jobs = _watch(client, [client.submit(spec).id for spec in specs()])
         say(_table(jobs), successes(job.outcome for job in jobs if job.outcome is not None))
         remark(*(f"{_name(job)} failed: {job.failure.detail}" for job in jobs if job.failure is not None))
-        say(f"Dashboard: {url}")
-        if not once:
+        if once:
+            say(f"Dashboard: SCENE_ATTACK_DATA={data} scene-attack serve")
+        else:
+            say(f"Dashboard: {url}")
             remark("It stays up; Ctrl-C ends it.")
             with suppress(KeyboardInterrupt):
                 process.wait()
@@ -178,7 +180,8 @@ def running_service(data: Path, environ: dict[str, str]) -> Iterator[tuple[str, 
     # A shell without job control starts background processes with SIGINT ignored, and Python then leaves it ignored.
     # The service has to be stopped in order, so this process handles the signal, as `serve` does.
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    data.mkdir(parents=True, exist_ok=True)
+    for folder in (data.parent, data):  # of which others may read nothing
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     log = data / "service.log"
     with log.open("ab") as errors:
         process = subprocess.Popen(
