@@ -69,7 +69,7 @@ def test_once_runs_every_job_shows_the_table_and_leaves_nothing_running(tmp_path
     for row in rows[:2]:
         assert "fooled" in row
         assert "yes" in row
-    assert f"Dashboard: {url}" in table
+    assert f"Dashboard: SCENE_ATTACK_DATA={tmp_path / 'demo'} scene-attack serve" in table
     # Every scene was right before, so that every job counts.
     assert re.search(rf"Fooled and verified: \d+ of {len(rows)} attacks on scenes that the network had right", table)
     with pytest.raises(httpx.ConnectError):

@@ -208,7 +208,7 @@ else:
         _OfTheTarget(
             "cases",
             lambda data: data["targets"][0].name if "targets" in data else None,
-            "{} is shown scenes: give them as `scenes`, or name networks in `targets` that are asked something",
+            "{} is shown scenes; give them as `scenes`, or name networks in `targets` that are asked something",
         ),
     ]
     PlanParts = Annotated[dict[str, Any], _ByTask("plan")]

@@ -67,7 +67,9 @@ class Classifier:
             if self.resize == "bicubic":  # it overshoots at edges
                 low, high = (((bound - self._mean) / self._std)[:, None, None] for bound in (0.0, 1.0))
                 x = x.clamp(low, high)
-        scores: Tensor = self.network(x.contiguous(memory_format=torch.channels_last))
+        scores = self.network(x.contiguous(memory_format=torch.channels_last))
+        if not isinstance(scores, torch.Tensor):
+            raise TypeError(f"it returns {type(scores).__name__}, not a tensor of scores [B, K]; wrap it")
         return scores.to(images.device, torch.promote_types(self.dtype, torch.float32))
 
     def save(self, folder: Path | str) -> None:

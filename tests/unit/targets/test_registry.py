@@ -75,6 +75,10 @@ MISTAKES: dict[str, tuple[Callable[[], Target], str]] = {
         lambda: loaded(nn.Sequential(nn.Conv2d(1, 3, 8), nn.Flatten())),
         r"fails on 2 RGB images of its input_size 8×8: RuntimeError: .*to have 1 channels, but got 3",
     ),
+    "no tensor": (
+        lambda: loaded(lambda x: (means(x), x)),
+        r"fails on 2 RGB images .*: TypeError: it returns tuple, not a tensor of scores \[B, K\]; wrap it",
+    ),
     "a card of another size": (lambda: loaded(means, card_size=(16, 16)), r"input_size 8×8, but its card says 16×16"),
     "more scores than labels": (
         lambda: loaded(lambda x: means(x).repeat(1, 2)),
