@@ -33,7 +33,7 @@ from scene_attack.rendering.physical_change import Change, change_images, change
 from scene_attack.rendering.plan import Plan
 from scene_attack.rendering.protocol import Parameters, Renderer
 from scene_attack.runs.analyse import Report, Subject, analyse
-from scene_attack.runs.prepare import Prepared, lit_by_map, prepare, prepare_exactly
+from scene_attack.runs.prepare import Prepared, by_task, lit_by_map, prepare, prepare_exactly
 from scene_attack.runs.result import (
     ATTACKED,
     BEST_SO_FAR,
@@ -52,7 +52,6 @@ from scene_attack.runs.result import (
 from scene_attack.runs.spec import JobSpec
 from scene_attack.runs.task_parts import ResultPart
 from scene_attack.scenes.library import Library
-from scene_attack.targets import registry
 from scene_attack.targets.info import TARGETS
 
 _VERSIONED = ("scene-attack", "torch", "numpy", "pyrender-maintained", "PyOpenGL", "trimesh", "OpenEXR", "safetensors")
@@ -183,7 +182,7 @@ def _write(
         attribution=of_subsets(rows),
         expectation=held,
         analyses=analyses,
-        tasks={} if part is None else {registry.card(prepared.spec.target.name).task: part},
+        tasks=by_task(prepared, part),
         trace=run.trace,
         provenance=provenance(prepared),
     )

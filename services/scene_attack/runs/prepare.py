@@ -101,7 +101,11 @@ def plan_of(prepared: Prepared) -> JobPlan:
 
 def tasks_of_plan(prepared: Prepared) -> dict[str, Part]:
     """What the task of a prepared job adds to its plan, by the task's name."""
-    part = prepared.task.plan()
+    return by_task(prepared, prepared.task.plan())
+
+
+def by_task(prepared: Prepared, part: Part | None) -> dict[str, Part]:
+    """What the task of a prepared job adds to its plan or result, by the task's name; nothing for None."""
     return {} if part is None else {registry.card(prepared.spec.target.name).task: part}
 
 

@@ -181,13 +181,18 @@ class _ByTask:
         return core_schema.no_info_plain_validator_function(validate)
 
     def _read(self, name: str, value: Any) -> Any:
-        model = getattr(TASKS[name], self._part) if name in TASKS else None
+        model = _model_of(name, self._part)
         return value if model is None else model.model_validate(value)
 
     def __get_pydantic_json_schema__(self, _schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
         models = {name: getattr(task, self._part) for name, task in TASKS.items()}
         properties = {name: schema_of([model], handler) for name, model in models.items() if model is not None}
         return {"type": "object", "properties": properties} if properties else {"type": "object"}
+
+
+def _model_of(task: str, part: str) -> Any:
+    """The model of a task's part; None if it has none, or is not installed."""
+    return getattr(TASKS[task], part) if task in TASKS else None
 
 
 def _one_of(models: tuple[type[Any], ...]) -> TypeAdapter[Any]:
@@ -219,7 +224,7 @@ def parts_of(tasks: Mapping[str, Any] | None) -> dict[str, ResultPart]:
     """Those of a result's `tasks` that can be read, as their task is installed, from its JSON data."""
     found = {}
     for name, data in (tasks or {}).items():
-        model = TASKS[name].result if name in TASKS else None
+        model = _model_of(name, "result")
         with suppress(ValidationError):  # of another version of the plug-in
             if model is not None:
                 found[name] = model.model_validate(data)
