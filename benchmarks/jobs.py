@@ -24,7 +24,6 @@ import torch
 
 from benchmarks.report import RESULTS, save, shortest
 from scene_attack.process import ALLOCATOR
-from scene_attack.runs.environment import options_to_run
 from scene_attack.runs.execute import Progress, execute
 from scene_attack.runs.prepare import prepare
 from scene_attack.runs.spec import JobSpec, parse
@@ -32,6 +31,7 @@ from scene_attack.scenes.library import Library
 from scene_attack.targets import registry
 from scene_attack.targets.protocol import Target
 from scene_attack_service.jobs.processes import warm_up
+from scene_attack_service.settings import Settings
 
 ATTACKS: dict[str, dict[str, Any]] = {
     "image": {"renderer": "image"},
@@ -80,7 +80,7 @@ def _in_a_process(attack: str, size: int, steps: int, repeats: int) -> dict[str,
 
 def _measure(attack: str, size: int, steps: int, repeats: int) -> dict[str, Any]:
     """Measures `repeats` jobs beside as many passes of the network; with 0, one job and its memory only."""
-    settings = options_to_run()
+    settings = Settings()
     warm_up(settings)
     library = Library(settings.cache_dir, settings.data_dir)
     chosen = ATTACKS[attack]

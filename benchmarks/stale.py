@@ -11,8 +11,8 @@ them. That of a network is a hash of its scores for fixed images, computed in fl
 beside the results, in results/fingerprints.json: a result is up to date if its file is the one that was signed and all
 its fingerprints are those of today. What was never signed counts as stale, because nobody knows which code made it.
 
-Images of pyrender depend on the OpenGL driver, too, which is part of its fingerprint's name. Drawn by another driver, a
-result is neither up to date nor stale: it cannot be told here.
+Images depend on the processor, too, and those of pyrender on the OpenGL driver; both are part of a fingerprint's name.
+Drawn by another one, a result is neither up to date nor stale: it cannot be told here.
 """
 
 from __future__ import annotations
@@ -128,7 +128,7 @@ def stale(name: str, today: dict[str, str]) -> str | None:
 
 
 def _key(part: str, prints: dict[str, str]) -> str:
-    """The key of a renderer or network in `prints`: its name, then a space and its driver if it has one. "" if none."""
+    """The key of a renderer or network in `prints`: its name, then a space and what draws it if that matters, or ""."""
     return next((key for key in prints if key.partition(" ")[0] == part), "")
 
 
@@ -145,6 +145,7 @@ def fingerprints() -> dict[str, str]:
     """The fingerprint of each renderer and each network that ships. Computed once for the code as it is."""
     if (known := cached()) is not None:
         return known
+    from scene_attack.process import processor
     from scene_attack.rendering.opengl.context import gl_backend
     from scene_attack.runs.environment import options_to_run
     from scene_attack.runs.set_up import set_up
@@ -153,8 +154,8 @@ def fingerprints() -> dict[str, str]:
     settings = options_to_run()
     set_up(settings)
     library = Library(settings.cache_dir, settings.data_dir)
-    result = {"torch": renderer_print("torch", library)}
-    result[f"pyrender {gl_backend()}"] = renderer_print("pyrender", library)
+    result = {f"torch {processor()}": renderer_print("torch", library)}
+    result[f"pyrender {gl_backend()}; {processor()}"] = renderer_print("pyrender", library)
     result |= {name: network_print(name) for name in (LITE0, ALEXNET, RESNET, IEP)}
     CACHED.write_text(json.dumps({"code": _code(), "fingerprints": result}, indent=1) + "\n", "utf-8")
     return result
