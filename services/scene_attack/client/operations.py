@@ -43,7 +43,7 @@ Answer = TypeVar("Answer")
 Device = Literal["cuda", "cpu"]
 PriorityName = Priority | Literal["high", "normal", "low"]
 StateName = State | Literal["queued", "running", "cancelling", "succeeded", "failed", "rejected", "cancelled"]
-CampaignStateName = CampaignState | Literal["selecting", "running", "paused", "finished", "failed", "cancelled"]
+CampaignStateName = CampaignState | Literal["selecting", "running", "paused", "finished", "cancelled"]
 CHECK_SECONDS = 300.0
 """Longest time in seconds for the check of a request; the first one waits for a process to warm up."""
 

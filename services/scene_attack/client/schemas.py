@@ -303,7 +303,9 @@ class CampaignSummary(BaseModel):
     selected: datetime | None = Field(description="the time at which the views were chosen")
     paused: datetime | None
     ended: datetime | None
-    failure: str | None = Field(description="why the campaign cannot go on")
+    failure: str | None = Field(
+        description="why the service paused the campaign, whose request it cannot read as it is"
+    )
     progress: CampaignProgress
 
 

@@ -36,13 +36,12 @@ class CampaignState(StrEnum):
     RUNNING = "running"
     PAUSED = "paused"
     FINISHED = "finished"
-    FAILED = "failed"
     CANCELLED = "cancelled"
 
     @property
     def terminal(self) -> bool:
         """Whether the campaign has ended, so that its state cannot change any more."""
-        return self in (CampaignState.FINISHED, CampaignState.FAILED, CampaignState.CANCELLED)
+        return self in (CampaignState.FINISHED, CampaignState.CANCELLED)
 
 
 class JobKind(StrEnum):

@@ -179,7 +179,7 @@ class Campaigns:
             campaign = session.get(Campaign, campaign_id, with_for_update=True)
             if campaign is not None and campaign.state is CampaignState.PAUSED:
                 campaign.state = CampaignState.SELECTING if campaign.selected_at is None else CampaignState.RUNNING
-                campaign.paused_at = None
+                campaign.paused_at = campaign.failure = None
             return campaign
 
     def cancel(self, campaign_id: str) -> Campaign | None:
@@ -188,7 +188,7 @@ class Campaigns:
         Returns the campaign, or None if the id is unknown.
         """
         with self._database.write() as session:
-            ended = {"state": CampaignState.CANCELLED, "ended_at": now(session), "paused_at": None}
+            ended = {"state": CampaignState.CANCELLED, "ended_at": now(session), "paused_at": None, "failure": None}
             if _change(session, campaign_id, _OPEN, **ended):
                 own = (Job.campaign_id == campaign_id, Job.state.in_((State.QUEUED, State.RUNNING)))
                 for job_id in session.scalars(select(Job.id).where(*own).order_by(Job.id).with_for_update()).all():
@@ -370,7 +370,7 @@ class Feeder:
             try:
                 self._expand(campaign_id)
             except ValueError as error:
-                self._fail(campaign_id, f"its request was valid when it was accepted, but is not any more: {error}")
+                self._hold(campaign_id, f"its request was valid when it was accepted, but is not any more: {error}")
                 continue
             if state is CampaignState.SELECTING:
                 self._plan(campaign_id)
@@ -422,12 +422,13 @@ class Feeder:
             campaign = parse(spec)
             self._expanded[campaign_id] = campaign, views(campaign)
 
-    def _fail(self, campaign_id: str, why: str) -> None:
+    def _hold(self, campaign_id: str, why: str) -> None:
+        """Pauses a campaign that cannot go on as the service is now: a plug-in that it needs may be back tomorrow."""
         with self._database.write() as session:
-            values = {"state": CampaignState.FAILED, "ended_at": now(session), "failure": why}
+            values = {"state": CampaignState.PAUSED, "paused_at": now(session), "failure": why}
             if not _change(session, campaign_id, _ACTIVE, **values):
                 return  # paused, or ended meanwhile
-        log.warning("campaign failed", campaign=campaign_id, why=why)
+        log.warning("campaign paused", campaign=campaign_id, why=why)
 
     def _plan(self, campaign_id: str) -> None:
         """Chooses the views and plans the jobs, once all selection jobs have ended."""

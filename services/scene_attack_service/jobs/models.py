@@ -314,7 +314,7 @@ class Campaign(Base):
     paused_at: Mapped[datetime | None]
     ended_at: Mapped[datetime | None]
     failure: Mapped[str | None] = mapped_column(Text)
-    """Reason why the campaign cannot go on."""
+    """Reason why the service paused the campaign."""
     demand: Mapped[dict[str, Any] | None]
     """Demands of its jobs on the queue (scene_attack_service.jobs.queue.Demand)."""
     view_count: Mapped[int]

@@ -229,15 +229,25 @@ def test_a_key_belongs_to_one_request(stage: Stage) -> None:
     assert bobs[0] == bobs[1] != first
 
 
-def test_a_campaign_that_is_no_request_any_more_fails_by_name(stage: Stage, engine: Engine) -> None:
+def test_a_campaign_that_is_no_request_any_more_waits_until_it_is_one(stage: Stage, engine: Engine) -> None:
     campaign = stage.begin(spec(1))
-    changed = deepcopy(stage.campaign(campaign).spec)
+    request = stage.campaign(campaign).spec
+    changed = deepcopy(request)
     changed["grids"][0]["attacks"][0]["attack"]["method"] = "gone"
-    with engine.execution_options(writes=True).begin() as connection:
-        connection.execute(update(Campaign).values(spec=changed))
+
+    def write(values: dict[str, Any]) -> None:
+        with engine.execution_options(writes=True).begin() as connection:
+            connection.execute(update(Campaign).values(spec=values))
+
+    write(changed)
     stage.feeder.tick()
-    assert stage.state(campaign) is CampaignState.FAILED
+    assert stage.state(campaign) is CampaignState.PAUSED
     assert "gone" in (stage.campaign(campaign).failure or "")
+    write(request)
+    stage.campaigns.resume(campaign)
+    stage.feeder.tick()
+    assert stage.state(campaign) in (CampaignState.SELECTING, CampaignState.RUNNING)
+    assert stage.campaign(campaign).failure is None
 
 
 def test_unknown_campaigns_are_none(stage: Stage) -> None:

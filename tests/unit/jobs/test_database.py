@@ -42,7 +42,7 @@ def with_a_later_revision(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None
     (migrations / "versions" / "later.py").write_text(
         "import sqlalchemy as sa\n"
         "from alembic import op\n"
-        "revision, down_revision = 'later', '0020'\n"
+        "revision, down_revision = 'later', '0021'\n"
         "def upgrade():\n"
         "    op.add_column('assets', sa.Column('colour', sa.String(16), nullable=False, server_default='grey'))\n"
     )
@@ -59,7 +59,7 @@ def test_a_later_revision_keeps_what_is_there(
     with engine.execution_options(writes=True).begin() as connection:
         connection.execute(text("INSERT INTO assets (name) VALUES ('sphere')"))
     with_a_later_revision(tmp_path, monkeypatch)
-    assert check_database(engine, settings) == ("0020", "later")
+    assert check_database(engine, settings) == ("0021", "later")
     migrate(engine, settings)
     assert check_database(engine, settings) == ("later", "later")
     with engine.connect() as connection:

@@ -249,3 +249,5 @@ def _print(operation: Callable[[str], Request[CampaignView]], campaign_id: str, 
     ]
     columns = ("id", "name", "state", "views>", "chosen>", "jobs>", "outcomes", "reused>", "time left>")
     print_found(campaign, FittedTable(columns, [row]), as_json)
+    if campaign.failure is not None:
+        remark(f"paused by the service: {campaign.failure}")
