@@ -173,17 +173,24 @@ class Attack(Model):
     @model_validator(mode="before")
     @classmethod
     def _no_truncation_by_default(cls, data: Any) -> Any:
-        """Leaves out a default U where the request says that ε alone limits, where views or light vary, and through a
-        renderer without gradients: there objects move, and pixels at silhouettes exceed any U at once. Backtracking
-        needs a U, or a largest p.
+        """Leaves out a default U where the request says that ε alone limits, where views or light vary, where groups
+        have natural ranges, and through a renderer without gradients: there objects move, and pixels at silhouettes
+        exceed any U at once. Backtracking needs a U, or a largest p.
         """
         if not isinstance(data, dict) or "truncation" in data:
             return data
         renderer = RENDERERS.get(str(data.get("renderer")))
         moving = renderer is not None and not renderer.differentiable
         varying = data.get("expectation") is not None
+        groups = data.get("groups") or ()
+        natural = (
+            renderer is not None
+            and isinstance(groups, (list, tuple))
+            and bool(groups)
+            and all(group in renderer.group_names and renderer.group(group).natural_range for group in groups)
+        )
         needed = data.get("constraint") == "backtrack" and data.get("perceptibility") is None
-        without = ((moving or varying) and not needed) or data.get("constraint") == "epsilon"
+        without = ((moving or varying or natural) and not needed) or data.get("constraint") == "epsilon"
         return data | {"truncation": None} if without else data
 
     @model_validator(mode="before")

@@ -130,6 +130,7 @@ def write_bundle(files: Files, library: Library, write: Write, job: str | None =
             put(name, resources("scene_attack.export").joinpath("stock", name).read_bytes())
     of_groups = {
         "normals": ("normals_before.npy", "normals_after.npy"),
+        "bump": ("normals_before.npy", "normals_after.npy"),
         "illumination": ("environment_before.exr", "environment_after.exr"),
         "illumination_rgb": ("environment_before.exr", "environment_after.exr"),
         "image": ("original.png", "attacked.png"),

@@ -19,6 +19,7 @@ from scene_attack.rendering.opengl.gbuffer import rasterise
 from scene_attack.rendering.protocol import Parameters
 from scene_attack.rendering.pyrender.declaration import PYRENDER
 from scene_attack.rendering.pyrender.parameters import ENERGY, IRRADIANCE, SceneParameters
+from scene_attack.rendering.torch.bump import Bump
 from scene_attack.rendering.torch.light import illumination
 from scene_attack.rendering.torch.surfaces import visible_surfaces
 from scene_attack.rendering.torch.table import to_vectors
@@ -143,14 +144,22 @@ def normal_maps(scene: ResolvedScene, perturbation: Parameters) -> BeforeAfter:
     viewer), float32; 0 where nothing is. Draws with OpenGL."""
     gbuffer = rasterise(scene)
     to_camera = torch.as_tensor(scene.view, dtype=torch.float64)[:3, :3]
-    angles = visible_surfaces(gbuffer, to_camera).image
+    visible = visible_surfaces(gbuffer, to_camera)
     seen = (gbuffer.coverage > 0)[..., None]
 
     def vectors(of: Tensor) -> Floats:
         return np.asarray((to_vectors(of.double()) * seen).numpy(), np.float32)
 
-    change = perturbation.get("normals")
-    return BeforeAfter(vectors(angles), vectors(angles if change is None else angles + change.double()))
+    after = visible.image.clone()
+    if "normals" in perturbation:
+        after += perturbation["normals"].double()
+    if "bump" in perturbation:
+        first = visible.shown.rank == 0
+        shown = visible.shown.some(first)
+        pixels = after.view(-1, 2)
+        turned = Bump.of(scene, shown, to_camera).turned(pixels[shown.pixels], perturbation["bump"].double())
+        pixels[shown.pixels] = turned
+    return BeforeAfter(vectors(visible.image), vectors(after))
 
 
 def as_colors(normals: Floats) -> Bytes:

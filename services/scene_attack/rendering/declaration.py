@@ -72,6 +72,9 @@ class Group:
     suggested_limit: float | None = None
     """Largest change of a value from the scene's own for methods that need one, in the group's unit; above 0, at most
     1000."""
+    natural_range: str | None = None
+    """The range of its bounds in words, if it is what a thing could really have: then no U is needed. None: the bounds
+    are what can be computed."""
 
     def __post_init__(self) -> None:
         if not self.shape:

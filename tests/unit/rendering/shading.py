@@ -8,7 +8,9 @@ import torch
 from scene_attack.rendering.opengl.gbuffer import GBuffer
 from scene_attack.rendering.torch.dsbrdf import COSINE_FLOOR, ILLUMINATION_MEAN, MATERIAL_UNIT, WHITE
 from scene_attack.scenes.description import Camera, Scene, SceneObject
+from scene_attack.scenes.mesh import FIT_RADIUS
 from scene_attack.scenes.resolve import ResolvedScene
+from tests.unit.rendering import dents
 from tests.unit.rendering.shapes import mesh, placed
 
 UNCOLORED = {"plastic": (1, 2), "glossy-paint": (1, 2), "rubber": (1, 2)}
@@ -46,7 +48,7 @@ def sphere_gbuffer(scene: ResolvedScene, radius=0.8, albedo=(0.7, 0.5, 0.3)) -> 
         normals=torch.tensor(normals * covered[..., None], dtype=torch.float32),
         coverage=torch.tensor(coverage, dtype=torch.float32),
         base_color=torch.tensor(np.array(albedo) * covered[..., None], dtype=torch.float32),
-        depth=torch.ones(height, width),
+        depth=torch.full((height, width), scene.description.camera.distance),
         object_index=torch.tensor(np.where(covered, owner, -1)),
         backend="closed form",
     )
@@ -109,6 +111,23 @@ def reference_brdf(coefficients: np.ndarray, theta_h: float, theta_d: float) -> 
     return rho
 
 
+def dented(
+    scene: ResolvedScene, gbuffer: GBuffer, at: tuple[int, int], normal: np.ndarray, coefficients: np.ndarray
+) -> np.ndarray:
+    """The unit normal of a pixel, turned by the dents of its object."""
+    right, up, back = scene.view[:3, :3].T
+    height, width = gbuffer.coverage.shape
+    across, down = (2 * at[1] + 1) / width - 1, 1 - (2 * at[0] + 1) / height
+    ray = across / scene.projection[0, 0] * right + down / scene.projection[1, 1] * up - back
+    owner, model = int(gbuffer.object_index[at]), np.asarray(scene.models[int(gbuffer.object_index[at])])
+    place = np.linalg.solve(model, np.append(scene.view[:3, 3] + float(gbuffer.depth[at]) * ray, 1.0))[:3]
+    turn = model[:3, :3] / np.linalg.norm(model[:3, 0])
+    place = place.clip(-FIT_RADIUS, FIT_RADIUS)  # this G-buffer's sphere is wider than an object
+    slope = turn @ dents.gradient(place[None], coefficients[owner])[0]
+    raised = normal - slope + (slope @ normal) * normal
+    return raised / np.linalg.norm(raised)
+
+
 def reference_image(scene: ResolvedScene, gbuffer: GBuffer, parameters: dict[str, torch.Tensor]) -> np.ndarray:
     """The image [H, W, 3] by its definition: loops over pixels, directions, channels and lobes, in world space."""
     environment = np.asarray(scene.environment)
@@ -129,6 +148,8 @@ def reference_image(scene: ResolvedScene, gbuffer: GBuffer, parameters: dict[str
                 continue
             azimuth, polar = angles[y, x]
             normal = sin(polar) * sin(azimuth) * right + cos(polar) * up + sin(polar) * cos(azimuth) * back
+            if "bump" in parameters:
+                normal = dented(scene, gbuffer, (y, x), normal, parameters["bump"].double().numpy())
             owner, base = int(gbuffer.object_index[y, x]), gbuffer.base_color[y, x].double().numpy()
             gloss = UNCOLORED.get(scene.description.objects[owner].material, ())
             total = np.zeros(3)

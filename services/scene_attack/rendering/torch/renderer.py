@@ -26,7 +26,8 @@ from scene_attack.rendering.kernels import compiled
 from scene_attack.rendering.opengl.gbuffer import GBuffer, rasterise
 from scene_attack.rendering.plan import DEFAULT_TOLERANCE, Item, Plan, Tolerance
 from scene_attack.rendering.protocol import Parameters, Renderer
-from scene_attack.rendering.torch import dsbrdf
+from scene_attack.rendering.torch import bump, dsbrdf
+from scene_attack.rendering.torch.bump import Bump
 from scene_attack.rendering.torch.declaration import TORCH
 from scene_attack.rendering.torch.dsbrdf import MATERIAL_UNIT, layers, preset
 from scene_attack.rendering.torch.light import LIGHT_GROUPS, Illumination, directions, illumination, solid_angles
@@ -39,6 +40,9 @@ from scene_attack.rendering.variation import Variation
 from scene_attack.scenes.description import MAP_SIZES
 from scene_attack.scenes.environment import average
 from scene_attack.scenes.resolve import ResolvedScene
+
+TURNED_INTO = {"bump": "normals"}
+"""The group whose values another one's are turned into, for the planner: it plans for any values of these."""
 
 
 def ignored_items(scene: ResolvedScene) -> Iterator[Item]:
@@ -63,8 +67,10 @@ def surface_items(visible: VisibleSurfaces) -> Iterator[Item]:
 
 
 class TorchRenderer(DeclaredRenderer):
-    """Renders a G-buffer under an environment map. It has four groups, each differentiable.
+    """Renders a G-buffer under an environment map. Each of its groups is differentiable.
 
+    bump [objects, NODES, NODES, NODES]: heights of dents on a lattice in each object's frame, in thousandths of the
+    object's size (scene_attack.rendering.torch.bump), which turn the normals of every view of it.
     normals [H, W, 2]: azimuth and polar angle in the camera's frame, radians (see `normals`). They are 0 and have no
     effect at pixels that no object covers.
     illumination [rows, cols]: one intensity per texel of the map, ≥ 0, of mean ILLUMINATION_MEAN; the texel's colour is
@@ -118,6 +124,7 @@ class TorchRenderer(DeclaredRenderer):
             "illumination": light.intensity,
             "illumination_rgb": torch.zeros_like(light.chroma),
             "material": torch.stack(materials).to(self._device) * MATERIAL_UNIT,
+            "bump": torch.zeros(n_objects, bump.NODES, bump.NODES, bump.NODES, device=self._device),
         }
         # Round to float32 whatever the dtype, so that the exact twin renders the same scene.
         rounded = {group: value.to(torch.float32).to(torch.float64) for group, value in initial.items()}
@@ -177,14 +184,15 @@ class TorchRenderer(DeclaredRenderer):
 
         def compiled_plan() -> tuple[list[Recipe], Plan]:
             n_pixels = self._canvas.n_pixels
-            return compile_plan(surfaces, sky, intensity, groups, tolerance, self.size, items, n_pixels)
+            planned = tuple(dict.fromkeys(TURNED_INTO.get(group, group) for group in groups))
+            return compile_plan(surfaces, sky, intensity, planned, tolerance, self.size, items, n_pixels)
 
         what = "recipes", self._attacked, tolerance
         recipes, plan = scene.once(what, compiled_plan) if is_own else compiled_plan()
         self.shaders = [
             Shader(recipe, sky, surface, intensity) for recipe, surface in zip(recipes, surfaces, strict=True)
         ]
-        self._made_of = scene, gbuffer, seen
+        self._made_of, self._to_camera = (scene, gbuffer, seen), to_camera
         self._is_exact = tolerance == "exact"
         self._plan, self._shaded, self._light = plan, (shown, surfaces), (sky, intensity)
 
@@ -199,6 +207,11 @@ class TorchRenderer(DeclaredRenderer):
         error = self._made_of[0].once("error of the map's size", self._map_error)
         return self._plan.model_copy(update={"environment_map_error": error})
 
+    @cached_property
+    def bump(self) -> Bump:
+        """The places of the surfaces among the dents of their objects."""
+        return Bump.of(self._made_of[0], self._shaded[0], self._to_camera)
+
     def initial(self) -> Parameters:
         """Returns the scene's own values, {group: tensor}, in the renderer's dtype, rounded to float32."""
         return {group: value.cpu().clone() for group, value in self._initial.items()}
@@ -207,16 +220,17 @@ class TorchRenderer(DeclaredRenderer):
         """Returns the lowest and highest value of each group, {group: (low, high)}, broadcastable to it.
 
         Light is not negative; κ and γ stay in the ranges of `dsbrdf`; any angle is a normal, and angles are bounded so
-        that float32 still resolves them (see `normals`).
+        that float32 still resolves them (see `normals`). Dents are bounded by what a thing could have (see `bump`).
         """
         furthest = torch.tensor(MAX_ANGLE, dtype=self._dtype)
-        infinity = torch.tensor(torch.inf, dtype=self._dtype)
+        infinity, deepest = (torch.tensor(value, dtype=self._dtype) for value in (torch.inf, bump.LARGEST))
         ranges = torch.tensor([dsbrdf.LOG_KAPPA_RANGE, dsbrdf.LOG_GAMMA_RANGE], dtype=self._dtype) * MATERIAL_UNIT
         return {
             "normals": (-furthest, furthest),
             "illumination": (torch.zeros((), dtype=self._dtype), infinity),
             "illumination_rgb": (-self._initial["illumination"][..., None].cpu(), infinity),
             "material": (ranges[:, :1], ranges[:, 1:]),
+            "bump": (-deepest, deepest),
         }
 
     def render(self, parameters: Mapping[str, Tensor]) -> Tensor:
@@ -265,6 +279,8 @@ class TorchRenderer(DeclaredRenderer):
         angles, intensity = self._canvas.covered(values["normals"]), values["illumination"].flatten()
         if self._turns is not None:
             angles = angles + self._turns
+        if "bump" in parameters:
+            angles = self.bump.turned(angles, values["bump"])
         if "illumination_rgb" in parameters:
             intensity = (intensity + parameters["illumination_rgb"].reshape(-1, 3).T).clamp_min(0.0)  # [3, D]
         shaders, materials = iter(self.shaders), [*values["material"], *self._fixed]

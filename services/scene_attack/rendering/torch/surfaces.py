@@ -34,7 +34,7 @@ from scene_attack.rendering.opengl.gbuffer import Fragments, GBuffer
 from scene_attack.rendering.torch import table
 from scene_attack.rendering.torch.table import to_angles
 from scene_attack.scenes.description import Floor
-from scene_attack.scenes.mesh import Floats
+from scene_attack.scenes.mesh import Doubles, Floats
 from scene_attack.scenes.resolve import ResolvedScene
 from scene_attack.scenes.solids import is_convex
 
@@ -139,17 +139,24 @@ def _in_squares(pixels: Tensor, width: int) -> Tensor:
     return torch.argsort(square * SIDE**2 + (row % SIDE) * SIDE + column % SIDE)
 
 
+def camera_rays(scene: ResolvedScene, shown: Fragments) -> Doubles:
+    """Returns vectors from the eye through the middle of each surface's samples, one unit long along the viewing
+    direction, world space [P, 3]."""
+    height, width = scene.description.camera.size
+    right, down = shown.place.double().cpu().numpy().T
+    pixels = shown.pixels.cpu()
+    row, column = (pixels // width).numpy() + down, (pixels % width).numpy() + right
+    x = (column * 2 / width - 1) / scene.projection[0, 0]
+    y = (1 - row * 2 / height) / scene.projection[1, 1]
+    return np.stack([x, y, -np.ones_like(x)], axis=1) @ scene.view[:3, :3].T
+
+
 def _surface(
     scene: ResolvedScene, shown: Fragments, triangles: Floats, owners: NDArray[np.int64]
 ) -> tuple[Floats, Floats, Floats, NDArray[np.int64]]:
     """Returns the starts of the surfaces' rays, the G-buffer's normals, and those of the triangles that they are
     on, float32 [P, 3], world space; and the convex objects that are seen from outside there, int64 [P], or -1."""
-    height, width = scene.description.camera.size
-    right, down = shown.place.double().numpy().T
-    row, column = (shown.pixels // width).numpy() + down, (shown.pixels % width).numpy() + right
-    x = (column * 2 / width - 1) / scene.projection[0, 0]
-    y = (1 - row * 2 / height) / scene.projection[1, 1]
-    rays = np.stack([x, y, -np.ones_like(x)], axis=1) @ scene.view[:3, :3].T
+    rays = camera_rays(scene, shown)
     lengths = np.linalg.norm(rays, axis=1)
     units = np.ascontiguousarray(rays / lengths[:, None], np.float32)
     eye = np.ascontiguousarray(scene.eye, np.float32)

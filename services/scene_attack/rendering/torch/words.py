@@ -20,6 +20,7 @@ from scene_attack.rendering.physical_change import (
     signed,
 )
 from scene_attack.rendering.protocol import Renderer
+from scene_attack.rendering.torch import bump
 from scene_attack.rendering.torch.dsbrdf import (
     COSINE_FLOOR,
     ILLUMINATION_MEAN,
@@ -29,8 +30,10 @@ from scene_attack.rendering.torch.dsbrdf import (
     reflectance,
 )
 from scene_attack.rendering.torch.light import LIGHT_GROUPS
+from scene_attack.rendering.torch.renderer import TorchRenderer
 from scene_attack.rendering.torch.table import to_vectors
 from scene_attack.scenes.description import object_names
+from scene_attack.scenes.mesh import FIT_RADIUS
 from scene_attack.scenes.resolve import ResolvedScene
 
 CHANNELS = ("red", "green", "blue")
@@ -50,6 +53,8 @@ def worded(scene: ResolvedScene, renderer: Renderer, perturbation: Mapping[str, 
             first = not any(thing.change.group in LIGHT_GROUPS for thing in result)
             images = images_of_map(*maps(initial, perturbation)) if first else []
             result += light(group, change, images)
+        elif group == "bump":
+            result += dents(scene, renderer, change)
         elif group == "material":
             names = object_names(scene.description, scene.titles)
             result += [material(k, name, initial[group][k], change[k]) for k, name in enumerate(names)]
@@ -69,6 +74,43 @@ def normals(initial: Tensor, change: Tensor) -> Worded:
         images=[ChangeImage(file="normals-tilt.png", words=f"tilt of the normals, from 0 (violet) to {most} (yellow)")],
     )
     return Worded(tilted, sizes)
+
+
+def dents(scene: ResolvedScene, renderer: Renderer, change: Tensor) -> Iterator[Worded]:
+    """Heights and slopes of the dents `change` (scene_attack.rendering.torch.bump), by object, where it is seen."""
+    assert isinstance(renderer, TorchRenderer)
+    places, change = renderer.bump, change.double()
+    heights, slopes = places.heights(change), places.steepness(change) * degrees(1)
+    for k, name in enumerate(object_names(scene.description, scene.titles)):
+        seen, unit, size = places.shown.object_index == k, "mm", 1.0
+        if not bool(seen.any()) or not bool(change[k].any()):
+            continue
+        mesh, at_size = scene.meshes[k], "if it is 1 m large"
+        if mesh.centimetres is not None:
+            size = 2 * FIT_RADIUS * mesh.centimetres * scene.description.objects[k].scale / 100
+            at_size = f"at its size of {number(100 * size)} cm"
+        subject = f"surface of {name}"
+        typical, largest = _sizes("bump", subject, size * heights[seen], "height", unit)
+        steepest = PhysicalChange(
+            group="bump", subject=subject, measure="steepest slope", value=float(slopes[seen].max()), unit="degrees"
+        )
+        used = PhysicalChange(
+            group="bump",
+            subject=subject,
+            measure="share of the natural range",
+            value=100 * float(change[k].abs().max()) / bump.LARGEST,
+            unit="%",
+        )
+        most = abs(largest.value)
+        dented = Change(
+            group="bump",
+            subject=subject,
+            sentence=f"dented by {number(typical.value)} mm in the root mean square, {signed(largest.value)} mm at "
+            f"most, {at_size}, with slopes of up to {number(steepest.value)}°",
+            values=[from_zero(value, subject) for value in (typical, largest, steepest, used)],
+            images=[ChangeImage(file="dents.png", words=f"heights: {number(most)} mm is red, {number(-most)} mm blue")],
+        )
+        yield Worded(dented, [typical, largest, steepest, used])
 
 
 def light(group: str, change: Tensor, images: list[ChangeImage]) -> Iterator[Worded]:
@@ -146,6 +188,9 @@ def drawn(renderer: Renderer, perturbation: Mapping[str, Tensor]) -> dict[str, T
     """Images, uint8 [h, w, 3], by file name, of those groups that can be drawn."""
     initial = renderer.initial()
     images: dict[str, Tensor] = {}
+    if "bump" in perturbation:
+        assert isinstance(renderer, TorchRenderer)
+        images["dents.png"] = height_image(renderer, perturbation["bump"].double())
     if "normals" in perturbation:
         images["normals-tilt.png"] = tilt_image(tilts(initial["normals"], perturbation["normals"]))
     if any(group in perturbation for group in LIGHT_GROUPS):
@@ -153,6 +198,17 @@ def drawn(renderer: Renderer, perturbation: Mapping[str, Tensor]) -> dict[str, T
         images |= {"map-before.png": map_image(before), "map-after.png": map_image(after)}
         images["map-ratio.png"] = ratio_image(stops(before, after))
     return images
+
+
+def height_image(renderer: TorchRenderer, change: Tensor) -> Tensor:
+    """An image of the heights of dents: white 0, red raised, blue pressed in, full at the largest; grey elsewhere."""
+    places = renderer.bump
+    height, width = renderer.size
+    heights = torch.full((height * width,), torch.nan, dtype=torch.float64)
+    first = places.shown.rank == 0
+    heights[places.shown.pixels[first].cpu()] = places.heights(change)[first].cpu()
+    heights = heights.view(height, width)
+    return torch.where(heights.isnan()[..., None], GROUND, signed_colours(heights.nan_to_num())).to(torch.uint8)
 
 
 def images_of_map(before: Tensor, after: Tensor) -> list[ChangeImage]:
@@ -212,9 +268,14 @@ def stops(before: Tensor, after: Tensor) -> Tensor:
 
 def ratio_image(ratios: Tensor) -> Tensor:
     """An image of logarithms of ratios [rows, cols]: white 0, red above, blue below, full at the largest."""
-    part = ratios / (float(ratios.abs().max()) or 1.0)
+    return _enlarged(signed_colours(ratios))
+
+
+def signed_colours(values: Tensor) -> Tensor:
+    """Colours, uint8 [h, w, 3], of values [h, w]: white 0, red above, blue below, full at the largest."""
+    part = values / (float(values.abs().max()) or 1.0)
     red, blue = 1 - part.clamp(max=0).abs(), 1 - part.clamp(min=0)
-    return _enlarged((255 * torch.stack([red, torch.minimum(red, blue), blue], dim=-1)).round().to(torch.uint8))
+    return (255 * torch.stack([red, torch.minimum(red, blue), blue], dim=-1)).round().to(torch.uint8)
 
 
 def _enlarged(image: Tensor) -> Tensor:

@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from scene_attack.errors import InvalidRequest
+from scene_attack.rendering.torch.bump import NODES
 from tests.unit.rendering.shading import sky
 from tests.unit.rendering.torch.spheres import GROUPS, TIGHT, moved, sphere
 
@@ -58,6 +59,7 @@ def test_description_of_the_groups() -> None:
         "illumination": (4, 8),
         "illumination_rgb": (4, 8, 3),
         "material": (2, 3, 3, 2, 6),
+        "bump": (2, NODES, NODES, NODES),
     }
     for group, value in initial.items():
         low, high = bounds[group]

@@ -1,0 +1,186 @@
+"""Dents: a height over the surface of each object, which turns its normals. It is of the object, not of the image, so
+that one dented object is the same from every view.
+
+The height is a solid function of the place in the object's own frame, so that it needs no map of the surface and no
+mesh without holes: a sum of tensor products of cubic B-splines (Unser 1999, eq. 4) over a lattice whose nodes are half
+a wavelength apart. It is twice continuously differentiable, never beyond its largest coefficient, and has nearly
+nothing of wavelengths shorter than `WAVELENGTH`. To first order a surface with the normal n that is raised by h has the
+normal n − ∇h + (n·∇h) n: the normals are those of a surface that exists, unlike two free angles per pixel. Neither
+points nor outlines nor shadows move.
+
+The size of an object is the diameter of its bounding sphere, and coefficients are thousandths of it: millimetres for a
+thing of one metre. Slopes are at most 1.5 √3 times the largest coefficient over the distance of nodes.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from scene_attack.rendering.opengl.gbuffer import Fragments
+from scene_attack.rendering.torch.surfaces import camera_rays
+from scene_attack.rendering.torch.table import to_angles, to_vectors
+from scene_attack.scenes.mesh import FIT_RADIUS
+from scene_attack.scenes.resolve import ResolvedScene
+
+WAVELENGTH = 0.1
+"""Shortest wavelength of the height, in sizes of the object."""
+LARGEST = 10.0
+"""Largest magnitude of a coefficient, in thousandths of the size: no slope is then above 28°."""
+NODES = round(2 / WAVELENGTH) + 3
+"""Nodes of the lattice along each axis: those of a cube around the bounding sphere, and one more on each side but the
+last, where there are two, so that each point of it has four."""
+UNIT = 2 * FIT_RADIUS / 1000
+"""Scene units, at scale 1, of a coefficient of 1."""
+SPACING = FIT_RADIUS * WAVELENGTH
+"""Distance of nodes, likewise."""
+CHUNK = 16_384
+"""Surfaces whose 64 nodes each are held at a time: 25 MB in float64."""
+NEXT_TO_POLE = 1e-12
+"""Angle, radians, by which a normal at the pole is moved off it, where its azimuth has no derivative."""
+
+
+@dataclass(frozen=True)
+class Bump:
+    """The surfaces that are `shown`, and their places in the lattice.
+
+    `normals` float64 [P, 3], the unit normals without dents, camera's frame; `first` int64 [P], the flat index of the
+    first of their 64 nodes, among those of all objects; `within` float64 [P, 3], in [0,1], the place in the cell;
+    `to_camera` float64 [P, 3, 3], which turns gradients in the object's frame, as columns, into the camera's, and is 0
+    for surfaces that are no object's.
+    """
+
+    shown: Fragments
+    normals: Tensor
+    first: Tensor
+    within: Tensor
+    to_camera: Tensor
+
+    @classmethod
+    def of(cls, scene: ResolvedScene, shown: Fragments, to_camera: Tensor) -> "Bump":
+        """The places of the surfaces `shown`. `to_camera` [3, 3] turns world vectors, as rows, into the camera's
+        frame.
+        """
+        device, index = to_camera.device, shown.object_index
+        world = torch.from_numpy(scene.eye + camera_rays(scene, shown) * shown.depth.cpu().numpy()[:, None]).to(device)
+        places, turns = torch.zeros_like(world), world.new_zeros(len(world), 3, 3)
+        for k in range(len(scene.description.objects)):
+            model = torch.as_tensor(scene.placed[k].model, dtype=torch.float64, device=device)
+            linear, own = model[:3, :3], index == k
+            places[own] = torch.linalg.solve(linear, (world[own] - model[:3, 3]).T).T
+            turns[own] = to_camera.T @ linear / torch.linalg.vector_norm(linear[:, 0])
+        steps = ((places + FIT_RADIUS) / SPACING).clamp(0.0, NODES - 3.0)
+        cell = steps.floor().clamp_max(NODES - 4.0)
+        across = cell.long()
+        first = (((index.clamp_min(0) * NODES + across[:, 0]) * NODES) + across[:, 1]) * NODES + across[:, 2]
+        first = torch.where(index < len(scene.description.objects), first, 0)
+        return cls(shown, shown.normals.double() @ to_camera, first, steps - cell, turns)
+
+    def turned(self, angles: Tensor, coefficients: Tensor) -> Tensor:
+        """Returns angles [P, 2], turned by the dents `coefficients` [objects, NODES, NODES, NODES], in the dtype of the
+        angles. It is differentiable (once)."""
+        slopes: Tensor = _Slopes.apply(coefficients, self)  # type: ignore[no-untyped-call]
+        own = to_vectors(angles)
+        normals = _off_pole(own)
+        before, after = to_angles(normals), to_angles(_off_pole(raised(normals, slopes)))
+        # What rounding did to the angles is taken back, so that a surface without dents has the same bits; polar angles
+        # beyond 0 and π are those of other azimuths.
+        same = (normals == own).all(-1, keepdim=True) & ((before - angles)[:, 1:].abs() < 1e-5)
+        return after + torch.where(same, (angles - before).detach(), 0.0)
+
+    def steepness(self, coefficients: Tensor) -> Tensor:
+        """Angles [P], radians, by which the normals turn: the slopes of the dents along the surface."""
+        across = raised(self.normals, self.slopes(coefficients.double())) - self.normals
+        angles: Tensor = torch.linalg.vector_norm(across, dim=-1).atan()
+        return angles
+
+    def slopes(self, coefficients: Tensor) -> Tensor:
+        """Gradients [P, 3] of the height in the camera's frame, lengths per length: 1 is 45°."""
+        flat, parts = coefficients.flatten(), []
+        for first, within, to_camera in self._chunks(coefficients.dtype):
+            nodes, weights = _nodes(first, flat.device), _slope_weights(within)
+            gradient = flat.index_select(0, nodes.flatten()).view(-1, 1, 64) @ weights
+            parts.append((to_camera @ gradient.mT)[..., 0])
+        return torch.cat(parts)
+
+    def pulled(self, gradient: Tensor, like: Tensor) -> Tensor:
+        """The transpose of `slopes`: from a gradient by slopes [P, 3] that by coefficients, of the shape of `like`."""
+        result, start = torch.zeros_like(like).flatten(), 0
+        for first, within, to_camera in self._chunks(like.dtype):
+            own = gradient[start : start + len(first), :, None]
+            parts = _slope_weights(within) @ (to_camera.mT @ own)
+            result.index_add_(0, _nodes(first, like.device).flatten(), parts.flatten())
+            start += len(first)
+        return result.view_as(like)
+
+    def heights(self, coefficients: Tensor) -> Tensor:
+        """Heights [P] of the surfaces, in the unit of the coefficients; 0 for those that are no object's."""
+        flat, parts = coefficients.flatten(), []
+        for first, within, to_camera in self._chunks(coefficients.dtype):
+            values = flat.index_select(0, _nodes(first, flat.device).flatten()).view(-1, 64)
+            is_object = to_camera.flatten(1).any(1)
+            parts.append((values * _product(*_splines(within)[0].unbind(1))).sum(1) * is_object)
+        return torch.cat(parts)
+
+    def _chunks(self, dtype: torch.dtype) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
+        for start in range(0, len(self.first), CHUNK):
+            some = slice(start, start + CHUNK)
+            yield self.first[some], self.within[some].to(dtype), self.to_camera[some].to(dtype)
+
+
+def raised(normals: Tensor, slopes: Tensor) -> Tensor:
+    """Vectors [P, 3] along the normals of surfaces that are raised by a height of gradient `slopes`, to first order.
+
+    `normals` are unit vectors; the result is 1 / cos(slope) long.
+    """
+    return normals - slopes + (normals * slopes).sum(-1, keepdim=True) * normals
+
+
+class _Slopes(torch.autograd.Function):
+    """`Bump.slopes`, a linear function, with its transpose as derivative: its weights are made again, not kept."""
+
+    @staticmethod
+    def forward(ctx: Any, coefficients: Tensor, bump: Bump) -> Tensor:
+        ctx.bump, ctx.like = bump, coefficients.detach()
+        return bump.slopes(coefficients)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None]:
+        return ctx.bump.pulled(gradient, ctx.like), None
+
+
+def _nodes(first: Tensor, device: torch.device) -> Tensor:
+    """The flat indices [P, 64] of the nodes of surfaces, of which the first are [P]."""
+    steps = torch.arange(4, device=device)
+    return first[:, None] + ((steps[:, None, None] * NODES + steps[:, None]) * NODES + steps).flatten()
+
+
+def _splines(within: Tensor) -> tuple[Tensor, Tensor]:
+    """The four cubic B-splines that are not 0 at places [P, 3] within a cell, and their derivatives: each [P, 3, 4]."""
+    t, s = within, 1 - within
+    values = (s**3, 3 * t**3 - 6 * t**2 + 4, 3 * s**3 - 6 * s**2 + 4, t**3)
+    derivatives = (-(s**2), 3 * t**2 - 4 * t, 4 * s - 3 * s**2, t**2)
+    return torch.stack(values, dim=-1) / 6, torch.stack(derivatives, dim=-1) / 2
+
+
+def _product(x: Tensor, y: Tensor, z: Tensor) -> Tensor:
+    """The products [P, 64] of factors [P, 4] along each axis."""
+    return (x[:, :, None, None] * y[:, None, :, None] * z[:, None, None, :]).flatten(1)
+
+
+def _slope_weights(within: Tensor) -> Tensor:
+    """The gradient [P, 64, 3], in the object's frame, that a coefficient of 1 at each node gives."""
+    (x, y, z), (dx, dy, dz) = (of.unbind(1) for of in _splines(within))
+    gradients = torch.stack((_product(dx, y, z), _product(x, dy, z), _product(x, y, dz)), dim=-1)
+    return gradients * (UNIT / SPACING)
+
+
+def _off_pole(normals: Tensor) -> Tensor:
+    """Moves vectors [P, 3] that are straight up or down a little towards the viewer."""
+    x, y, z = normals.detach().unbind(-1)
+    at_pole = torch.hypot(x, z) < 0.5 * NEXT_TO_POLE * y.abs()
+    return normals + torch.stack((0 * x, 0 * y, NEXT_TO_POLE * at_pole), dim=-1)

@@ -1,0 +1,36 @@
+"""Dents by their definition: tensor products of scipy's cubic B-splines, independently of the renderer's."""
+
+import numpy as np
+from scipy.interpolate import BSpline
+
+from scene_attack.rendering.torch.bump import NODES, SPACING, UNIT
+from scene_attack.scenes.mesh import FIT_RADIUS
+
+SPLINE = BSpline.basis_element([-2, -1, 0, 1, 2], extrapolate=False)
+SLOPE = SPLINE.derivative()
+PLACES = (np.arange(NODES) - 1) * SPACING - FIT_RADIUS
+"""Of the nodes along each axis, in the object's frame."""
+
+
+def height(points: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
+    """Heights [P], scene units, of an object at scale 1 at points [P, 3] in its frame."""
+    x, y, z = (_at(SPLINE, points[:, k]) for k in range(3))
+    return UNIT * np.einsum("px,py,pz,xyz->p", x, y, z, coefficients)
+
+
+def gradient(points: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
+    """Its gradients [P, 3]."""
+    values = [_at(SPLINE, points[:, k]) for k in range(3)]
+    slopes = [_at(SLOPE, points[:, k]) / SPACING for k in range(3)]
+    along = [[slopes[k] if k == axis else values[k] for k in range(3)] for axis in range(3)]
+    return UNIT * np.stack([np.einsum("px,py,pz,xyz->p", *of, coefficients) for of in along], axis=1)
+
+
+def _at(spline: BSpline, places: np.ndarray) -> np.ndarray:
+    return np.nan_to_num(spline((places[:, None] - PLACES) / SPACING))
+
+
+def random_dents(objects: int = 1, seed: int = 0, largest: float = 10.0) -> np.ndarray:
+    """Coefficients [objects, NODES, NODES, NODES], each ± `largest`, which are the roughest that there are."""
+    rng = np.random.default_rng(seed)
+    return largest * rng.choice([-1.0, 1.0], (objects, NODES, NODES, NODES))
