@@ -4,6 +4,7 @@ import secrets
 import subprocess
 import time
 from collections.abc import Iterator
+from importlib.util import find_spec
 from typing import cast
 
 import pytest
@@ -47,6 +48,11 @@ def pytest_collection_finish() -> None:
     gc.enable()
 
 
+QUESTIONS = find_spec("scene_attack_questions") is not None
+"""Whether the plug-in is installed. All else can be tested without it, but for the documentation, which is of both."""
+OF_QUESTIONS = ["unit/questions", "unit/training/iep", "unit/api/test_dashboard_questions.py", "unit/docs"]
+collect_ignore = [] if QUESTIONS else OF_QUESTIONS
+
 SERVERS = {"postgresql_server", "redis_url", "s3_server"}
 """Fixtures that start a server."""
 SERVED = {"postgresql", "S3"}
@@ -55,8 +61,10 @@ SERVED = {"postgresql", "S3"}
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Marks the tests that start a server as slow."""
+    """Marks the tests that start a server as slow, and skips those of questions where they are not installed."""
     for item in items:
+        if not QUESTIONS and (item.get_closest_marker("questions") or "vqa" in item.name):  # examples/*vqa*.json
+            item.add_marker(pytest.mark.skip(reason="scene_attack_questions is not installed"))
         function = cast("pytest.Function", item)
         values = function.callspec.params.values() if hasattr(function, "callspec") else ()
         if SERVERS & set(function.fixturenames) or any(value in SERVED for value in values if isinstance(value, str)):

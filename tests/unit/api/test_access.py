@@ -72,6 +72,7 @@ def test_what_is_not_listed_is_not_told_from_what_is(guarded: Guarded, path: str
     assert guarded.client.delete("/v1/jobs", headers=guarded.headers["admin"]).status_code == 405
 
 
+@pytest.mark.questions
 def test_health_is_open_but_brief(guarded: Guarded) -> None:
     assert guarded.client.get("/healthz").json() == {"status": "ok"}
     brief = guarded.client.get("/readyz").json()

@@ -183,6 +183,7 @@ def test_paths_of_the_api_and_addresses_are_no_folders() -> None:
     assert without_folders(text) == text
 
 
+@pytest.mark.questions
 def test_scenes_to_generate_are_counted_before_they_are_made(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("scene_attack_questions.source.generate", None)  # calling it would be a 500
     made = {"format": "clevr", "generate": {"index": 3}}

@@ -16,6 +16,7 @@ def test_the_process_is_well_by_itself(client: Client) -> None:
     assert client.get("/healthz").json() == {"status": "ok"}
 
 
+@pytest.mark.questions
 def test_without_a_worker_the_service_is_not_ready(client: Client) -> None:
     answer = client.get("/readyz")
     assert answer.status_code == 503

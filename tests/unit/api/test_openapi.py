@@ -18,10 +18,12 @@ pytestmark = pytest.mark.slow
 COMMITTED = Path(__file__).parents[3] / "openapi.yaml"
 
 
+@pytest.mark.questions
 def test_the_committed_description_is_what_the_code_says() -> None:
     assert COMMITTED.read_text() == document(), "run: python -m scene_attack_api.openapi > openapi.yaml"
 
 
+@pytest.mark.questions
 def test_it_is_what_the_app_serves(client: Client) -> None:
     assert yaml.safe_load(COMMITTED.read_text()) == client.get("/openapi.json").json()
 

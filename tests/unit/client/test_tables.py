@@ -62,6 +62,7 @@ def test_warnings_are_for_people_and_name_their_field(capsys: pytest.CaptureFixt
     assert shown.out == ""
 
 
+@pytest.mark.questions
 def test_a_goal_is_stated_if_a_wrong_answer_may_not_meet_it() -> None:
     """Else a job that held, with a wrong answer beside it, reads as a mistake of the program."""
     assert goal_line({"goal": {"truth": ["4"], "leave": "4", "reach": None}, "target": {"name": "iep"}}) is None

@@ -58,6 +58,7 @@ def test_a_curve_begins_left_and_its_highest_value_is_on_top() -> None:
     assert curves(trace[:1]) == []
 
 
+@pytest.mark.questions
 def test_each_image_is_called_what_it_is() -> None:
     assert "only some of the changed groups" in content(subset_image(12))
     assert "normal" in content("normals-tilt.png")

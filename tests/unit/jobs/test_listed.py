@@ -11,6 +11,7 @@ ASKED: dict[str, Any] = SPEC.model_dump(mode="json") | {
 }
 
 
+@pytest.mark.questions
 def test_what_a_list_shows_of_a_request() -> None:
     columns = listed(ASKED)
     assert columns["name"] == columns["asked"] == "How many cubes are there?"

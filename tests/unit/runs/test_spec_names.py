@@ -29,6 +29,7 @@ def test_a_group_is_worded_by_its_renderer() -> None:
     assert group_words({"attack": {"renderer": "not-installed"}}, "fog") == "fog"
 
 
+@pytest.mark.questions
 def test_a_job_is_named_by_its_questions() -> None:
     scene = {"objects": [{"mesh": "primitive/cube"}, {"mesh": "furniture/couch"}]}
     counting = [{"function": "scene"}, {"function": "count", "inputs": [0]}]
