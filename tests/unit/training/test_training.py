@@ -79,9 +79,9 @@ def test_it_learns_its_views(data, tmp_path, monkeypatch):
     monkeypatch.setattr("training.training.distort", lambda images, *_: images)
     training = _training(data, tmp_path / "a", dropout=0.0, warm_up=0.1, smoothing=0.0)
     reports = []
-    training.run(Budget(epochs=30), reports.append)
+    training.run(Budget(epochs=45), reports.append)
     assert reports[-1].losses["right"] > 0.75  # 0.5 by chance
-    assert reports[-1].losses["loss"] < 0.65  # log 2 by chance; 0.60 on one processor, less on another
+    assert reports[-1].losses["loss"] < 0.6  # log 2 by chance
 
 
 def test_late_batches_show_the_default_scene(data, tmp_path, monkeypatch):
