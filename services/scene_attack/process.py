@@ -120,19 +120,23 @@ def describe(where: "torch.device") -> str:
 
 
 @lru_cache(maxsize=1)
+def cpuinfo() -> dict[str, str]:
+    """What Linux says of the first processor, by the names of /proc/cpuinfo; empty elsewhere."""
+    try:
+        first = Path("/proc/cpuinfo").read_text().partition("\n\n")[0]
+    except OSError:
+        return {}
+    fields = (line.partition(":") for line in first.splitlines())
+    return {name.strip(): value.strip() for name, _, value in fields}
+
+
 def processor() -> str:
     """The kind of this machine's processor, e.g. "GenuineIntel 6.207" with family and model.
 
     Mesa and torch compile or choose code by it: on two kinds the same scene differs by 1/255 in a few pixels, from
     which an attack goes another way.
     """
-    about = dict.fromkeys(("vendor_id", "cpu family", "model"), "")
-    with suppress(OSError):
-        for line in Path("/proc/cpuinfo").read_text().splitlines():
-            name, _, value = line.partition(":")
-            if name.strip() in about:
-                about[name.strip()] = value.strip()
-    vendor, family, model = about.values()
+    vendor, family, model = (cpuinfo().get(name) for name in ("vendor_id", "cpu family", "model"))
     return f"{vendor} {family}.{model}" if vendor else platform.machine()
 
 

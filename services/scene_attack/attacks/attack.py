@@ -182,12 +182,11 @@ class Attack(Model):
         renderer = RENDERERS.get(str(data.get("renderer")))
         moving = renderer is not None and not renderer.differentiable
         varying = data.get("expectation") is not None
-        groups = data.get("groups") or ()
+        groups = data.get("groups")  # which `_complete` has filled in
         natural = (
             renderer is not None
             and isinstance(groups, (list, tuple))
-            and bool(groups)
-            and all(group in renderer.group_names and renderer.group(group).natural_range for group in groups)
+            and all(group in renderer.natural_groups for group in groups)
         )
         needed = data.get("constraint") == "backtrack" and data.get("perceptibility") is None
         without = ((moving or varying or natural) and not needed) or data.get("constraint") == "epsilon"

@@ -143,6 +143,11 @@ class Declaration:
         """The names of the groups that are attacked if a request names none."""
         return tuple(group.name for group in self.groups if group.by_default)
 
+    @property
+    def natural_groups(self) -> tuple[str, ...]:
+        """The names of the groups with a natural range."""
+        return tuple(group.name for group in self.groups if group.natural_range is not None)
+
     def group(self, name: str) -> Group:
         """Returns a group by its name. Raises KeyError for an unknown name."""
         return {group.name: group for group in self.groups}[name]

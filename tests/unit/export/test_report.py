@@ -62,6 +62,7 @@ def test_a_curve_begins_left_and_its_highest_value_is_on_top() -> None:
 def test_each_image_is_called_what_it_is() -> None:
     assert "only some of the changed groups" in content(subset_image(12))
     assert "normal" in content("normals-tilt.png")
+    assert "dents" in content("dents.png")
     assert "environment map as it was" in content("map-before.png")
     assert "under attack" in content("map-after.png")
     assert "brighter" in content("map-ratio.png")

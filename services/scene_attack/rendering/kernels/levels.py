@@ -7,13 +7,11 @@ that the processor can run. A package that was built without a compiler has none
 
 import ctypes
 import platform
-from functools import lru_cache
 from pathlib import Path
 
 from scene_attack.errors import InvalidRequest
-from scene_attack.process import options
+from scene_attack.process import cpuinfo, options
 
-CPUINFO = Path("/proc/cpuinfo")
 V3 = frozenset(
     {"pni", "ssse3", "sse4_1", "sse4_2", "popcnt", "cx16", "lahf_lm"}
     | {"avx", "avx2", "bmi1", "bmi2", "f16c", "fma", "abm", "movbe"}
@@ -65,11 +63,6 @@ def why_none() -> str:
     return "; ".join(filter(None, map(refusal, NEEDS)))
 
 
-@lru_cache(maxsize=1)
 def features() -> frozenset[str]:
     """Returns the features of an x86-64 processor as /proc/cpuinfo names them."""
-    for line in CPUINFO.read_text().splitlines():
-        name, _, value = line.partition(":")
-        if name.strip() == "flags":
-            return frozenset(value.split())
-    return frozenset()
+    return frozenset(cpuinfo().get("flags", "").split())

@@ -218,12 +218,8 @@ def test_one_dented_object_is_the_same_from_every_view() -> None:
     values = torch.from_numpy(random_dents(seed=4))
     seen = []
     for azimuth in (0.0, 0.5):
-        scene = (
-            one("primitive/sphere")
-            if False
-            else resolved(
-                objects=[{"mesh": "primitive/sphere"} | MATERIAL], camera={"size": (96, 96), "azimuth": azimuth}
-            )
+        scene = resolved(
+            objects=[{"mesh": "primitive/sphere"} | MATERIAL], camera={"size": (96, 96), "azimuth": azimuth}
         )
         bump = dented(scene).bump
         _, points = in_its_frame(scene, bump, 0)
