@@ -15,7 +15,7 @@ PLACES = (np.arange(NODES) - 1) * SPACING - FIT_RADIUS
 def height(points: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
     """Heights [P], scene units, of an object at scale 1 at points [P, 3] in its frame."""
     x, y, z = (_at(SPLINE, points[:, k]) for k in range(3))
-    return UNIT * np.einsum("px,py,pz,xyz->p", x, y, z, coefficients)
+    return UNIT * _sums(x, y, z, coefficients)
 
 
 def gradient(points: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
@@ -23,7 +23,17 @@ def gradient(points: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
     values = [_at(SPLINE, points[:, k]) for k in range(3)]
     slopes = [_at(SLOPE, points[:, k]) / SPACING for k in range(3)]
     along = [[slopes[k] if k == axis else values[k] for k in range(3)] for axis in range(3)]
-    return UNIT * np.stack([np.einsum("px,py,pz,xyz->p", *of, coefficients) for of in along], axis=1)
+    return UNIT * np.stack([_sums(*of, coefficients) for of in along], axis=1)
+
+
+def _sums(x: np.ndarray, y: np.ndarray, z: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
+    """Σ x[p,i] y[p,j] z[p,k] coefficients[i,j,k], for 4,096 points at a time."""
+    flat, sums = coefficients.reshape(NODES**2, NODES), np.empty(len(x))
+    for start in range(0, len(x), 4096):
+        some = slice(start, start + 4096)
+        along_z = (z[some] @ flat.T).reshape(-1, NODES, NODES)
+        sums[some] = np.einsum("pi,pij,pj->p", x[some], along_z, y[some], optimize=True)
+    return sums
 
 
 def _at(spline: BSpline, places: np.ndarray) -> np.ndarray:

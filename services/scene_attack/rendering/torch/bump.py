@@ -9,11 +9,12 @@ normal n − ∇h + (n·∇h) n: the normals are those of a surface that exists,
 points nor outlines nor shadows move.
 
 The size of an object is the diameter of its bounding sphere, and coefficients are thousandths of it: millimetres for a
-thing of one metre. Slopes are at most 1.5 √3 times the largest coefficient over the distance of nodes.
+thing of one metre. Where they would be steeper than `STEEPEST`, dents are drawn less high.
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from math import radians, tan
 from typing import Any
 
 import torch
@@ -28,8 +29,14 @@ from scene_attack.scenes.resolve import ResolvedScene
 
 WAVELENGTH = 0.1
 """Shortest wavelength of the height, in sizes of the object."""
-LARGEST = 10.0
-"""Largest magnitude of a coefficient, in thousandths of the size: no slope is then above 28°."""
+LARGEST = 20.0
+"""Largest magnitude of a coefficient, and so of a height, in thousandths of the size."""
+STEEPEST = 29.0
+"""Steepest slope, degrees, at the places of `PER_CELL`; between them slopes are at most 3 % larger, so nowhere above
+30°."""
+PER_CELL = 2
+"""Places along each edge of a cell at which slopes are limited: its node and its middle, where steep waves are
+steepest."""
 NODES = round(2 / WAVELENGTH) + 3
 """Nodes of the lattice along each axis: those of a cube around the bounding sphere, and one more on each side but the
 last, where there are two, so that each point of it has four."""
@@ -82,7 +89,7 @@ class Bump:
     def turned(self, angles: Tensor, coefficients: Tensor) -> Tensor:
         """Returns angles [P, 2], turned by the dents `coefficients` [objects, NODES, NODES, NODES], in the dtype of the
         angles. It is differentiable (once)."""
-        slopes: Tensor = _Slopes.apply(coefficients, self)  # type: ignore[no-untyped-call]
+        slopes: Tensor = _Slopes.apply(limited(coefficients), self)  # type: ignore[no-untyped-call]
         own = to_vectors(angles)
         normals = _off_pole(own)
         before, after = to_angles(normals), to_angles(_off_pole(raised(normals, slopes)))
@@ -91,14 +98,15 @@ class Bump:
         same = (normals == own).all(-1, keepdim=True) & ((before - angles)[:, 1:].abs() < 1e-5)
         return after + torch.where(same, (angles - before).detach(), 0.0)
 
-    def steepness(self, coefficients: Tensor) -> Tensor:
-        """Angles [P], radians, by which the normals turn: the slopes of the dents along the surface."""
-        across = raised(self.normals, self.slopes(coefficients.double())) - self.normals
+    def tilts(self, coefficients: Tensor) -> Tensor:
+        """Angles [P], radians, by which the dents `coefficients` turn the normals: their slopes along the surface."""
+        across = raised(self.normals, self.slopes(limited(coefficients.double()))) - self.normals
         angles: Tensor = torch.linalg.vector_norm(across, dim=-1).atan()
         return angles
 
     def slopes(self, coefficients: Tensor) -> Tensor:
-        """Gradients [P, 3] of the height in the camera's frame, lengths per length: 1 is 45°."""
+        """Gradients [P, 3] of the height that the coefficients have unlimited, in the camera's frame, lengths per
+        length: 1 is 45°."""
         flat, parts = coefficients.flatten(), []
         for first, within, to_camera in self._chunks(coefficients.dtype):
             nodes, weights = _nodes(first, flat.device), _slope_weights(within)
@@ -117,8 +125,8 @@ class Bump:
         return result.view_as(like)
 
     def heights(self, coefficients: Tensor) -> Tensor:
-        """Heights [P] of the surfaces, in the unit of the coefficients; 0 for those that are no object's."""
-        flat, parts = coefficients.flatten(), []
+        """Heights [P] of the surfaces in the dents `coefficients`, in their unit; 0 for those that are no object's."""
+        flat, parts = limited(coefficients).flatten(), []
         for first, within, to_camera in self._chunks(coefficients.dtype):
             values = flat.index_select(0, _nodes(first, flat.device).flatten()).view(-1, 64)
             is_object = to_camera.flatten(1).any(1)
@@ -129,6 +137,36 @@ class Bump:
         for start in range(0, len(self.first), CHUNK):
             some = slice(start, start + CHUNK)
             yield self.first[some], self.within[some].to(dtype), self.to_camera[some].to(dtype)
+
+
+def limited(coefficients: Tensor) -> Tensor:
+    """Coefficients of the dents that are drawn. Where dents would be steeper than `STEEPEST`, the nodes around are
+    divided by the excess, and then all of the object's by what is left of it. It is differentiable where no two places
+    are equally steep."""
+    from_each = torch.nn.functional.pad(steepness(coefficients)[:, None], (2 * PER_CELL,) * 6)  # as far as nodes go
+    around = torch.nn.functional.max_pool3d(from_each, 2 * PER_CELL + 1, stride=PER_CELL)[:, 0]
+    lower = coefficients / around.clamp_min(1.0)
+    return lower / steepness(lower).amax((1, 2, 3)).clamp_min(1.0)[:, None, None, None]
+
+
+def steepness(coefficients: Tensor) -> Tensor:
+    """Slopes that the coefficients have unlimited, in parts of the largest allowed, at `PER_CELL` places along each
+    edge of the cells: [objects, places, places, places]."""
+    values, slopes = _along_an_axis(coefficients)
+    along = (slopes, values, values), (values, slopes, values), (values, values, slopes)
+    gradient = torch.stack([torch.einsum("oijk,ai,bj,ck->oabc", coefficients, *of) for of in along])
+    parts: Tensor = torch.linalg.vector_norm(gradient, dim=0) * (UNIT / SPACING / tan(radians(STEEPEST)))
+    return parts
+
+
+def _along_an_axis(like: Tensor) -> tuple[Tensor, Tensor]:
+    """Weights [places, NODES] of the nodes along an axis, of the value and the slope, at `PER_CELL` places a cell."""
+    steps = torch.arange((NODES - 3) * PER_CELL + 1, dtype=torch.float64) / PER_CELL
+    first = steps.floor().clamp_max(NODES - 4.0)
+    nodes = first.long()[:, None] + torch.arange(4)
+    empty = torch.zeros(len(steps), NODES, dtype=torch.float64)
+    values, slopes = (empty.scatter(1, nodes, of[:, 0]).to(like) for of in _splines((steps - first)[:, None]))
+    return values, slopes
 
 
 def raised(normals: Tensor, slopes: Tensor) -> Tensor:

@@ -80,7 +80,10 @@ def dents(scene: ResolvedScene, renderer: Renderer, change: Tensor) -> Iterator[
     """Heights and slopes of the dents `change` (scene_attack.rendering.torch.bump), by object, where it is seen."""
     assert isinstance(renderer, TorchRenderer)
     places, change = renderer.bump, change.double()
-    heights, slopes = places.heights(change), places.steepness(change) * degrees(1)
+    shares = torch.maximum(
+        bump.steepness(change).amax((1, 2, 3)), change.abs().amax((1, 2, 3)) / bump.LARGEST
+    ).clamp_max(1.0)
+    heights, slopes = places.heights(change), places.tilts(change) * degrees(1)
     for k, name in enumerate(object_names(scene.description, scene.titles)):
         seen, unit, size = places.shown.object_index == k, "mm", 1.0
         if not bool(seen.any()) or not bool(change[k].any()):
@@ -98,7 +101,7 @@ def dents(scene: ResolvedScene, renderer: Renderer, change: Tensor) -> Iterator[
             group="bump",
             subject=subject,
             measure="share of the natural range",
-            value=100 * float(change[k].abs().max()) / bump.LARGEST,
+            value=100 * float(shares[k]),
             unit="%",
         )
         most = abs(largest.value)

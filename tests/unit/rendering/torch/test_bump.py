@@ -1,6 +1,7 @@
 """Dents against scipy's splines, a mesh that is really dented, central differences, and their own limits."""
 
-from math import atan, degrees, sqrt, tan
+from collections.abc import Iterator
+from math import atan, degrees
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from torch import Tensor
 
 import scene_attack as sa
 from scene_attack.process import options
-from scene_attack.rendering.torch.bump import LARGEST, NODES, SPACING, Bump, raised
+from scene_attack.rendering.torch.bump import LARGEST, NODES, SPACING, UNIT, Bump, limited, raised
 from scene_attack.rendering.torch.renderer import TorchRenderer
 from scene_attack.scenes.library import Library
 from scene_attack.scenes.mesh import FIT_RADIUS, Mesh
@@ -83,7 +84,7 @@ def test_a_floor_has_no_dents() -> None:
     assert of_floor.sum() > 100
     assert not bump.slopes(values)[of_floor].any()
     assert not bump.heights(values)[of_floor].any()
-    assert not bump.steepness(values)[of_floor].any()
+    assert not bump.tilts(values)[of_floor].any()
 
 
 # The normals against those of a mesh that is dented
@@ -118,7 +119,7 @@ def test_normals_are_those_of_the_dented_mesh_to_first_order() -> None:
     it, the error is of second order in the height: half the dents have a quarter of it. The waves are long beside a
     pixel, whose normal is the mean of its samples'."""
     turns = 2 * np.pi * 2.5 / (NODES - 3) * np.arange(NODES)
-    coefficients = LARGEST * np.sin(np.add.outer(np.add.outer(turns, 0.7 * turns), 0.5 * turns))
+    coefficients = 10.0 * np.sin(np.add.outer(np.add.outer(turns, 0.7 * turns), 0.5 * turns))
     errors, sizes = [], []
     for amount in (2.0, 1.0, 0.5):
         scene = sphere_scene(coefficients, amount)
@@ -162,6 +163,7 @@ def test_gradient_against_a_central_difference(scene: dict[str, Any]) -> None:
     for start in (
         torch.zeros(1, count, NODES, NODES, NODES, dtype=torch.float64),
         torch.from_numpy(random_dents(count, 5, 3.0))[None],
+        torch.from_numpy(random_dents(count, 5, 40.0))[None],  # dents that are limited
     ):
         direction = torch.randn(start.shape, dtype=torch.float64, generator=rng)
         leaf = start.clone().requires_grad_()
@@ -198,19 +200,45 @@ def at_points(points: np.ndarray) -> Bump:
 # Limits, words and requests
 
 
-def test_no_dents_are_steeper_than_the_declared_range() -> None:
-    """The worst along one axis is three quarters of a step from one limit to the other; diagonally √3 of it."""
-    bound = sqrt(3) * 0.75 * 2 * LARGEST / 1000 / (SPACING / (2 * FIT_RADIUS))
-    assert bound < tan(np.radians(28))
+def rough() -> Iterator[np.ndarray]:
+    """Coefficients of one object that are as rough as they may be: random ones, a ridge, and single waves of many
+    directions and lengths."""
+    yield random_dents(seed=1)[0]
     ridge = np.full((NODES, NODES, NODES), -LARGEST)
-    ridge[np.add.outer(np.add.outer(np.arange(NODES), np.arange(NODES)), np.arange(NODES)) > 33] = LARGEST
+    places = np.arange(NODES)
+    ridge[np.add.outer(np.add.outer(places, places), places) > 33] = LARGEST
+    yield ridge
+    rng = np.random.default_rng(5)
+    for _ in range(6):
+        x, y, z = (turn * places for turn in rng.uniform(0.3, 2.0, 3))
+        yield LARGEST * np.sign(np.sin(np.add.outer(np.add.outer(x, y), z) + rng.uniform(0, 3)))
+
+
+def test_no_dents_are_steeper_or_higher_than_the_declared_range() -> None:
     rng = np.random.default_rng(1)
-    points = rng.uniform(-0.3, 0.3, (4000, 3)) * FIT_RADIUS
-    steepest = np.linalg.norm(dents.gradient(points, ridge), axis=1).max()
-    assert degrees(atan(steepest)) < 28
-    declared = [group for group in TorchRenderer.declaration.groups if group.name == "bump"]
-    assert "28°" in str(declared[0].natural_range)
-    assert f"{LARGEST:.0f} mm" in str(declared[0].natural_range)
+    points = rng.uniform(-0.99, 0.99, (30_000, 3)) * FIT_RADIUS
+    most = []
+    for given in rough():
+        drawn = limited(torch.from_numpy(given)[None])[0].numpy()
+        slopes = np.linalg.norm(dents.gradient(points, drawn), axis=1)
+        most.append(degrees(atan(slopes.max())))
+        assert abs(dents.height(points, drawn)).max() <= LARGEST * UNIT
+        if not np.array_equal(drawn, given):
+            assert most[-1] > 27  # no less than they may be
+    assert max(most) <= 30
+    assert sum(angle > 27 for angle in most) > 4
+    declared = str(TorchRenderer.declaration.group("bump").natural_range)
+    assert "30°" in declared
+    assert f"{LARGEST:.0f} mm" in declared
+
+
+def test_each_object_is_limited_by_its_own_dents() -> None:
+    given = torch.from_numpy(random_dents(2, 1, 40.0))
+    given[1] *= 0.3
+    drawn = limited(given)
+    assert torch.equal(drawn[1], given[1])
+    assert torch.equal(drawn[:1], limited(given[:1]))
+    assert float(drawn[0].abs().max()) < 30
 
 
 def test_one_dented_object_is_the_same_from_every_view() -> None:
