@@ -191,8 +191,10 @@ def _behaviour(renderer: Renderer) -> Iterator[Tensor]:
 
     from scene_attack.attacks.problem import generator
     from scene_attack.rendering.color import quantize
+    from scene_attack.rendering.declaration import RENDERERS
 
-    own = renderer.initial()
+    elsewhere = RENDERERS[renderer.name].moving_groups  # from where the pixels of one view cannot be drawn
+    own = {group: value for group, value in renderer.initial().items() if group not in elsewhere}
     bounds = renderer.bounds()
     moved = {}
     for group, value in own.items():

@@ -285,3 +285,11 @@ def _polar_path(angles: Sequence[float], values: Sequence[float], scale: float) 
     points = [(scale * v * sin(radians(a)), -scale * v * cos(radians(a))) for a, v in zip(angles, values, strict=True)]
     # adding 0 turns −0 into 0
     return "M0 0 L" + " L".join(f"{round(x, 1) + 0:g} {round(y, 1) + 0:g}" for x, y in points) + " Z"
+
+
+def around(views: Sequence[Mapping[str, Any]]) -> list[tuple[str, float, float]]:
+    """Where the views of a range (`scene_attack.analysis.records.SeenFrom`) are on a circle seen from above: the answer
+    there, and the place. The scene's own view is below, and the camera goes to the right of the image from there.
+    """
+    angles = [(view["answer"], radians(view["azimuth"])) for view in views]
+    return [(answer, round(RADIUS * sin(a), 1), round(RADIUS * cos(a), 1)) for answer, a in angles]

@@ -16,7 +16,7 @@ from scene_attack.runs.spec import group_words
 from scene_attack.runs.task_parts import TASKS
 from scene_attack.text import signed
 from scene_attack_api.dashboard import words
-from scene_attack_api.dashboard.charts import polar
+from scene_attack_api.dashboard.charts import around, polar
 from scene_attack_api.dashboard.views import OF_TASKS
 from scene_attack_service.access.caller import Caller
 from scene_attack_service.jobs.models import CampaignState, State
@@ -96,7 +96,7 @@ _templates.globals |= {
 }
 _templates.globals["areas"] = AREAS
 _templates.filters["prose"] = prose
-_templates.globals |= {"campaign_states": list(CampaignState), "polar": polar}
+_templates.globals |= {"campaign_states": list(CampaignState), "polar": polar, "around": around}
 
 
 def part_of(request: Request, page: str) -> str:

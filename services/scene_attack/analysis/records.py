@@ -245,6 +245,16 @@ class AdaptiveAttack(Record):
     perceptibility: float = Field(description="p(ΔY) of the attacked image as saved, of 8 bits")
 
 
+class SeenFrom(Record):
+    """A fresh view of the scene, and the network's answer there."""
+
+    azimuth: float = Field(description="of the camera, beyond the scene's own, degrees")
+    elevation: float = Field(description="likewise")
+    answer: Literal["fooled", "held", "wrong"] = Field(
+        description="whether the perturbation fools the network there; `wrong`: its answer is wrong without it"
+    )
+
+
 class HeldOver(Record):
     """Success of the stored perturbation over the range that its attack averaged over, on variations that no step of
     the attack has seen, each rendered by the exact path. Intervals are Wilson's of 95 %.
@@ -255,6 +265,9 @@ class HeldOver(Record):
     fooled: int = Field(description="of these, those whose attacked image it answers wrongly, as the goal wants")
     share: float | None = Field(description="fooled / right; null if the clean image was right nowhere")
     interval: tuple[float, float] | None
+    views: list[SeenFrom] = Field(
+        default_factory=list, description="the variations, where the camera goes around the scene; else empty"
+    )
     wrong_share: float = Field(description="for comparison: share of all variations whose clean image is wrong already")
     wrong_interval: tuple[float, float]
 

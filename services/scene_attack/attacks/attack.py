@@ -253,9 +253,14 @@ class Attack(Model):
         if self.base_renderer is not None and has.base_renderer is None:
             raise ValueError(f"base_renderer: renderer {self.renderer} works on no other's image; leave this out")
         if self.expectation is not None:
-            self.expectation.check(has)
+            self.expectation.check(has, self.groups)
             if self.truncation is not None:
                 raise ValueError("truncation: U is of one view in one light; with `expectation` leave it out")
+        pixels = [name for name in self.groups if has.group(name).per_pixel]
+        moving = [name for name in self.groups if name in has.moving_groups]
+        if pixels and moving:
+            belong = f"{pixels[0]} belong to the pixels of one view, which {moving[0]} changes"
+            raise ValueError(f"groups: {belong}; attack one of the two")
         for field, groups in (("epsilon", self.epsilon), ("bounds", self.bounds), ("leave_out", self.leave_out)):
             self.check_known(field, groups)
         if self.constraint == "epsilon" or self.restarts > 0:

@@ -2,6 +2,7 @@
 adversary is to hold. This module does not import torch.
 """
 
+from collections.abc import Sequence
 from typing import Annotated, Literal, get_args
 
 from pydantic import Field, model_validator
@@ -54,8 +55,15 @@ class Expectation(Model):
             raise ValueError(f"give a range above 0 to one of {', '.join(RANGES)}")
         return self
 
-    def check(self, renderer: Declaration) -> None:
-        """Raises ValueError for a range that the renderer cannot draw."""
+    def check(self, renderer: Declaration, groups: Sequence[str]) -> None:
+        """Raises ValueError for a range that the renderer cannot draw, or not while these groups are attacked."""
+        views = [name for name in VIEWS if getattr(self, name)]
+        pixels = [name for name in groups if renderer.group(name).per_pixel]
+        if views and pixels:
+            raise ValueError(
+                f"expectation.{views[0]}: {pixels[0]} belong to the pixels of one view, and no other view has them; "
+                "attack groups of the object, or leave the range out"
+            )
         for name in RANGES:
             if getattr(self, name) and name != "noise" and name not in renderer.varies:
                 can = ", ".join([*renderer.varies, "noise"])

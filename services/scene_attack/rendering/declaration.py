@@ -72,6 +72,10 @@ class Group:
     suggested_limit: float | None = None
     """Largest change of a value from the scene's own for methods that need one, in the group's unit; above 0, at most
     1000."""
+    per_pixel: bool = False
+    """Whether its values belong to the pixels of one view of the scene, so that no other view has them."""
+    moves: bool = False
+    """Whether it moves objects or the camera, so that pixels show other surfaces."""
     natural_range: str | None = None
     """The range of its bounds in words, if it is what a thing could really have: then no U is needed. None: the bounds
     are what can be computed."""
@@ -147,6 +151,11 @@ class Declaration:
     def natural_groups(self) -> tuple[str, ...]:
         """The names of the groups with a natural range."""
         return tuple(group.name for group in self.groups if group.natural_range is not None)
+
+    @property
+    def moving_groups(self) -> tuple[str, ...]:
+        """The names of the groups that move objects or the camera."""
+        return tuple(group.name for group in self.groups if group.moves)
 
     def group(self, name: str) -> Group:
         """Returns a group by its name. Raises KeyError for an unknown name."""

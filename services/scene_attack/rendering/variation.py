@@ -57,7 +57,8 @@ def moved(renderer: Renderer, parameters: Mapping[str, Tensor], variation: Varia
     if declared.varied is None or replace(variation, noise=0.0, seed=0) == STILL:
         return dict(parameters)
     count, initial = len(next(iter(parameters.values()))), renderer.initial()
-    added = {group: initial[group].expand(count, *initial[group].shape) for group in declared.varies.values()}
+    needed = {group for kind, group in declared.varies.items() if getattr(variation, kind) != getattr(STILL, kind)}
+    added = {group: initial[group].expand(count, *initial[group].shape) for group in sorted(needed)}
     values: Parameters = resolve_name(declared.varied)(renderer, added | dict(parameters), variation)
     return values
 

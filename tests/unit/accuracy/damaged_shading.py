@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from scene_attack.rendering import color
+from scene_attack.rendering import color, pose
 from scene_attack.rendering.color import Canvas
 from scene_attack.rendering.pyrender import parameters
 from scene_attack.rendering.pyrender import renderer as pyrender_renderer
@@ -261,15 +261,15 @@ def turned_back(patch) -> None:
 @breaks("camera_to_world", resolve)
 def mirrored_camera(true, given):
     """The camera's right is its left."""
-    pose = true(given)
-    pose[:3, 0] *= -1
-    return pose
+    turned = true(given)
+    turned[:3, 0] *= -1
+    return turned
 
 
 def rolled_back_camera(patch) -> None:
     """The roll of an attacked camera turns it the other way."""
-    true = parameters.MovingCamera.matrices
-    patch.setattr(parameters.MovingCamera, "matrices", lambda self, given: true(self, given * (1, 1, 1, -1)))
+    true = pose.MovingCamera.matrices
+    patch.setattr(pose.MovingCamera, "matrices", lambda self, given: true(self, given * (1, 1, 1, -1)))
 
 
 def files_upside_down(patch) -> None:

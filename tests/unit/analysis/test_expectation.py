@@ -52,6 +52,7 @@ def test_only_variations_that_were_right_count(goal: ResolvedGoal, wanted: tuple
     assert found.interval == wilson(fooled, right)
     assert found.wrong_interval == wilson(60 - right, 60)
     assert verifier.counts.queries == 60 + right
+    assert found.views == []  # noise is seen from one view
 
 
 def test_a_scene_that_is_right_nowhere_has_no_share() -> None:

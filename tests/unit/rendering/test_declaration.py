@@ -17,7 +17,8 @@ def test_the_built_in_renderers_are_found() -> None:
     assert RENDERERS["pyrender"].default_groups == papers
     assert RENDERERS["pyrender"].group_names == (*papers, "camera")
     assert RENDERERS["torch"].default_groups == ("normals", "illumination", "material")
-    assert RENDERERS["torch"].group_names == ("normals", "illumination", "illumination_rgb", "material", "bump")
+    of_torch = "normals illumination illumination_rgb material bump translation rotation camera"
+    assert RENDERERS["torch"].group_names == tuple(of_torch.split())
 
 
 def test_labels_follow_the_axes() -> None:

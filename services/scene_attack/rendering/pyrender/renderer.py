@@ -19,6 +19,7 @@ from scene_attack.rendering.opengl import context, gbuffer
 from scene_attack.rendering.opengl.camera import CameraMatrices, Rectangle, RenderPass, beyond, rectangle
 from scene_attack.rendering.opengl.shadows import check_size, images_per_pass, pass_shadows
 from scene_attack.rendering.plan import DEFAULT_TOLERANCE, ImageError, Plan, Tolerance, image_error
+from scene_attack.rendering.pose import seen_from
 from scene_attack.rendering.protocol import InactiveCoordinate, Parameters, Renderer
 from scene_attack.rendering.pyrender import planner, rasteriser
 from scene_attack.rendering.pyrender.batching import Array, SharedPass, alone, fill, shared
@@ -401,8 +402,10 @@ def varied(renderer: Renderer, parameters: Mapping[str, Tensor], variation: Vari
     """
     names = renderer.names("illumination") or []
     energies = [name == "ambient" or name.endswith("energy") for name in names]
-    light, camera = parameters["illumination"], parameters["camera"]
-    factor = torch.where(torch.tensor(energies), variation.intensity, 1.0).to(light.dtype)
-    turned = torch.tensor([variation.azimuth, variation.elevation, 0.0, variation.roll], dtype=camera.dtype)
-    scaled = torch.tensor([1.0, 1.0, variation.distance, 1.0], dtype=camera.dtype)
-    return dict(parameters) | {"illumination": light * factor, "camera": camera * scaled + turned}
+    factor = torch.where(torch.tensor(energies), variation.intensity, 1.0)
+    result = dict(parameters)
+    if "illumination" in result:
+        result["illumination"] = result["illumination"] * factor.to(result["illumination"].dtype)
+    if "camera" in result:
+        result["camera"] = seen_from(result["camera"], variation)
+    return result

@@ -7,50 +7,30 @@ Right, left, up and down are those of the unperturbed image; towards and away ar
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from math import degrees
-from typing import NamedTuple
 
 import numpy as np
 from torch import Tensor
 
 from scene_attack.rendering.physical_change import Change, ChangedValue, PhysicalChange, Worded, listed, number, signed
+from scene_attack.rendering.pose import Length, angle_of, changed, distance_of, lengths, move, poses
 from scene_attack.rendering.protocol import Renderer
 from scene_attack.rendering.pyrender.parameters import ENERGY, IRRADIANCE
 from scene_attack.scenes.description import object_names
 from scene_attack.scenes.mesh import Doubles
 from scene_attack.scenes.resolve import ResolvedScene
-from scene_attack.scenes.view import rotation_matrix
 
 CHANNELS = ("red", "green", "blue")
 LAMPS = {"point": "lamp", "directional": "distant lamp", "spot": "spotlight"}
 FACTORS = {"point": ENERGY, "spot": ENERGY, "directional": IRRADIANCE}
 """Energy of a light whose coordinate is 1."""
-DIRECTIONS = (("left", "right"), ("down", "up"), ("away from the camera", "towards the camera"))
-"""Words for the camera's axes, each for the negative and the positive direction."""
-SMALL = 0.1
-"""Part of a movement below which one of its directions is not named."""
-NEARLY = 0.95
-"""Cosine of the angle (18°) up to which an axis counts as that of which it has the name."""
-
-
-class Length(NamedTuple):
-    """A unit of length, and its number in a scene unit."""
-
-    unit: str = "scene units"
-    scale: float = 1.0
 
 
 def worded(scene: ResolvedScene, renderer: Renderer, perturbation: Mapping[str, Tensor]) -> list[Worded]:
     """A perturbation of the renderer's initial values in words, by group and by object or light.
 
-    Lengths are in centimetres where the meshes' real size is known, and in scene units otherwise. With several objects
-    that is known for each object, but not for lights and camera, since every mesh is scaled to the same size.
+    For units of length see `pose.lengths`.
     """
-    lengths = [
-        Length() if mesh.centimetres is None else Length("cm", mesh.centimetres / placed.scale)
-        for mesh, placed in zip(scene.meshes, scene.description.objects, strict=True)
-    ]
-    around = lengths[0] if len(lengths) == 1 else Length()
-    names, axes = object_names(scene.description, scene.titles), scene.view[:3, :3].T
+    names, axes, (_, around) = object_names(scene.description, scene.titles), scene.view[:3, :3].T, lengths(scene)
     result: list[Worded] = []
     for group, moved in perturbation.items():
         initial, change = renderer.initial()[group].double().numpy(), moved.double().numpy()
@@ -58,71 +38,9 @@ def worded(scene: ResolvedScene, renderer: Renderer, perturbation: Mapping[str, 
             result += lights(renderer.names(group) or [], initial, change, around, axes)
         elif group == "color":
             result += [color(name, k, initial[k], change[k]) for k, name in enumerate(names)]
-        elif group == "translation":
-            result += [translation(name, k, initial[k], change[k], lengths[k], axes) for k, name in enumerate(names)]
-        elif group == "rotation":
-            result += [rotation(name, k, initial[k], change[k], axes) for k, name in enumerate(names)]
-        elif group == "camera":
-            result.append(camera(initial, change, around))
+        else:
+            result += poses(scene, group, initial, change)
     return result
-
-
-def translation(subject: str, index: int, initial: Doubles, change: Doubles, length: Length, axes: Doubles) -> Worded:
-    """An object's move by `change` [3] in scene units; rows of `axes` [3, 3] are the camera's right, up and back."""
-    thing = f"object {index}"
-    values = [
-        _value(f"{thing} translation {axis}", length.unit, initial[k], change[k], length.scale)
-        for k, axis in enumerate("xyz")
-    ]
-    sentence = move(change, length, axes)
-    return Worded(
-        Change(group="translation", subject=subject, sentence=sentence, values=values),
-        [_distance("translation", thing, change, length)],
-    )
-
-
-def move(change: Doubles, length: Length, axes: Doubles) -> str:
-    """A movement by a vector [3] of scene units in words, e.g. "moved 4.2 cm right and 1.1 cm up"."""
-    along = axes @ change * length.scale
-    size = float(np.linalg.norm(along))
-    if size == 0:
-        return "did not move"
-    words = [
-        f"{number(abs(value))} {length.unit} {words[int(value > 0)]}"
-        for value, words in zip(along, DIRECTIONS, strict=True)
-        if abs(value) >= SMALL * size
-    ]
-    return "moved " + listed(words)
-
-
-def rotation(subject: str, index: int, initial: Doubles, change: Doubles, axes: Doubles) -> Worded:
-    """An object's turn from its own pose, given rotation vectors [3]."""
-    turn = rotation_matrix(initial + change) @ rotation_matrix(initial).T
-    # the axis times twice the sine of the angle; with the trace it gives the angle precisely at any size
-    twice = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
-    sine = float(np.linalg.norm(twice))
-    angle = float(np.arctan2(sine, float(np.trace(turn)) - 1))
-    thing = f"object {index}"
-    values = [
-        _value(f"{thing} rotation {axis}", "degrees", initial[k], change[k], degrees(1)) for k, axis in enumerate("xyz")
-    ]
-    sentence = "did not turn" if angle == 0 else turned(angle, twice / (sine or 1.0), axes)
-    return Worded(
-        Change(group="rotation", subject=subject, sentence=sentence, values=values), [_angle("rotation", thing, angle)]
-    )
-
-
-def turned(angle: float, axis: Doubles, axes: Doubles) -> str:
-    """A turn by an angle in radians about a unit vector [3] in words, e.g. "turned 6.5° clockwise seen from above"."""
-    size = f"{number(degrees(angle))}°"
-    for direction, words in ((np.array([0.0, 1.0, 0.0]), "seen from above"), (axes[2], "in the image")):
-        cosine = float(axis @ direction)
-        if abs(cosine) >= NEARLY:
-            return f"turned {size} {'anticlockwise' if cosine > 0 else 'clockwise'} {words}"
-    cosine = float(axis @ axes[0])
-    if abs(cosine) >= NEARLY:
-        return f"tipped {size} {DIRECTIONS[2][int(cosine > 0)]}"
-    return f"turned {size} about a slanted axis"
 
 
 def color(subject: str, index: int, initial: Doubles, change: Doubles) -> Worded:
@@ -134,7 +52,8 @@ def color(subject: str, index: int, initial: Doubles, change: Doubles) -> Worded
         for k, channel in enumerate(CHANNELS)
     ]
     values = [
-        _value(f"{thing} color {channel}", "linear factor", initial[k], change[k]) for k, channel in enumerate(CHANNELS)
+        changed(f"{thing} color {channel}", "linear factor", initial[k], change[k])
+        for k, channel in enumerate(CHANNELS)
     ]
     sentence = ", ".join(words) if change.any() else "has its colour as before"
     percent = 100 * float(change[np.abs(change).argmax()])
@@ -160,7 +79,7 @@ def lights(names: Sequence[str], initial: Doubles, change: Doubles, length: Leng
         subject = "ambient light" if lamp is None else lamp if kinds[kind] == 1 else f"{lamp} {which}"
         unit = "radiance" if lamp is None else "energy"
         parts = [brightness(initial[energy], change[energy])]
-        values = [_value(names[energy], unit, initial[energy], change[energy], FACTORS.get(kind, 1.0))]
+        values = [changed(names[energy], unit, initial[energy], change[energy], FACTORS.get(kind, 1.0))]
         sizes = []
         if initial[energy] > 0:
             percent = 100 * float(change[energy] / initial[energy])
@@ -168,8 +87,8 @@ def lights(names: Sequence[str], initial: Doubles, change: Doubles, length: Leng
         direction = [i for i in at if " direction " in names[i]]
         if position := [i for i in at if i not in direction]:
             parts.append(move(change[position], length, axes))
-            values += [_value(names[i], length.unit, initial[i], change[i], length.scale) for i in position]
-            sizes.append(_distance(group, light, change[position], length))
+            values += [changed(names[i], length.unit, initial[i], change[i], length.scale) for i in position]
+            sizes.append(distance_of(group, light, change[position], length))
         if direction:
             old, new = initial[direction], initial[direction] + change[direction]
             angle = float(np.arctan2(np.linalg.norm(np.cross(old, new)), old @ new))
@@ -179,7 +98,7 @@ def lights(names: Sequence[str], initial: Doubles, change: Doubles, length: Leng
                 ChangedValue(name=names[i], unit="unit vector", before=float(old[k]), after=float(after[k]))
                 for k, i in enumerate(direction)
             ]
-            sizes.append(_angle(group, f"{light} direction", angle))
+            sizes.append(angle_of(group, f"{light} direction", angle))
         yield Worded(Change(group=group, subject=subject, sentence=listed(parts), values=values), sizes)
 
 
@@ -191,45 +110,3 @@ def brightness(initial: float, change: float) -> str:
     if percent == 0:
         return "as bright as before"
     return f"{number(abs(percent))} % {'brighter' if percent > 0 else 'dimmer'}"
-
-
-def camera(initial: Doubles, change: Doubles, length: Length) -> Worded:
-    """A change of the camera's azimuth, elevation, distance and roll [4]."""
-    words = [
-        (degrees(change[0]), "°", ("left", "right"), " around the scene"),
-        (degrees(change[1]), "°", ("down", "up"), " around the scene"),
-        (change[2] * length.scale, f" {length.unit}", ("nearer", "farther"), ""),
-    ]
-    moves = [f"{number(abs(size))}{of} {pair[int(size > 0)]}{around}" for size, of, pair, around in words if size]
-    parts = ["moved " + listed(moves)] if moves else []
-    if change[3]:
-        parts.append(f"rolled {number(abs(degrees(change[3])))}° to its {'left' if change[3] > 0 else 'right'}")
-    angle = Length("degrees", degrees(1))
-    units = {"azimuth": angle, "elevation": angle, "distance": length, "roll": angle}
-    values = [
-        _value(f"camera {label}", unit.unit, old, by, unit.scale)
-        for (label, unit), old, by in zip(units.items(), initial, change, strict=True)
-    ]
-    sentence = listed(parts) if parts else "did not move"
-    return Worded(
-        Change(group="camera", subject="camera", sentence=sentence, values=values),
-        [
-            _angle("camera", "azimuth", change[0]),
-            _angle("camera", "elevation", change[1]),
-            _angle("camera", "roll", change[3]),
-            _distance("camera", "camera", change[2:3], length),
-        ],
-    )
-
-
-def _angle(group: str, subject: str, radians: float) -> PhysicalChange:
-    return PhysicalChange(group=group, subject=subject, measure="angle", value=degrees(radians), unit="degrees")
-
-
-def _distance(group: str, subject: str, change: Doubles, length: Length) -> PhysicalChange:
-    value = float(np.linalg.norm(change)) * length.scale
-    return PhysicalChange(group=group, subject=subject, measure="distance", value=value, unit=length.unit)
-
-
-def _value(name: str, unit: str, before: float, change: float, scale: float = 1.0) -> ChangedValue:
-    return ChangedValue(name=name, unit=unit, before=float(scale * before), after=float(scale * (before + change)))

@@ -25,12 +25,14 @@ from scene_attack.rendering.declaration import BuildRequest, DeclaredRenderer
 from scene_attack.rendering.kernels import compiled
 from scene_attack.rendering.opengl.gbuffer import GBuffer, rasterise
 from scene_attack.rendering.plan import DEFAULT_TOLERANCE, Item, Plan, Tolerance
+from scene_attack.rendering.pose import MovingCamera, seen_from
 from scene_attack.rendering.protocol import Parameters, Renderer
 from scene_attack.rendering.torch import bump, dsbrdf
 from scene_attack.rendering.torch.bump import Bump
 from scene_attack.rendering.torch.declaration import TORCH
 from scene_attack.rendering.torch.dsbrdf import MATERIAL_UNIT, layers, preset
 from scene_attack.rendering.torch.light import LIGHT_GROUPS, Illumination, directions, illumination, solid_angles
+from scene_attack.rendering.torch.moved import MovedScenes, places
 from scene_attack.rendering.torch.planner import compile_plan, looked_at, map_error
 from scene_attack.rendering.torch.shader import Recipe, Shader, Sky, Surface
 from scene_attack.rendering.torch.shading import Directions
@@ -125,6 +127,7 @@ class TorchRenderer(DeclaredRenderer):
             "illumination_rgb": torch.zeros_like(light.chroma),
             "material": torch.stack(materials).to(self._device) * MATERIAL_UNIT,
             "bump": torch.zeros(n_objects, bump.NODES, bump.NODES, bump.NODES, device=self._device),
+            **{group: value.to(self._device) for group, value in places(scene).items()},
         }
         # Round to float32 whatever the dtype, so that the exact twin renders the same scene.
         rounded = {group: value.to(torch.float32).to(torch.float64) for group, value in initial.items()}
@@ -184,7 +187,9 @@ class TorchRenderer(DeclaredRenderer):
 
         def compiled_plan() -> tuple[list[Recipe], Plan]:
             n_pixels = self._canvas.n_pixels
-            planned = tuple(dict.fromkeys(TURNED_INTO.get(group, group) for group in groups))
+            planned = tuple(
+                dict.fromkeys(TURNED_INTO.get(group, group) for group in groups if group not in TORCH.moving_groups)
+            )
             return compile_plan(surfaces, sky, intensity, planned, tolerance, self.size, items, n_pixels)
 
         what = "recipes", self._attacked, tolerance
@@ -193,7 +198,7 @@ class TorchRenderer(DeclaredRenderer):
             Shader(recipe, sky, surface, intensity) for recipe, surface in zip(recipes, surfaces, strict=True)
         ]
         self._made_of, self._to_camera = (scene, gbuffer, seen), to_camera
-        self._is_exact = tolerance == "exact"
+        self._is_exact, self._tolerance = tolerance == "exact", tolerance
         self._plan, self._shaded, self._light = plan, (shown, surfaces), (sky, intensity)
 
     @classmethod
@@ -206,6 +211,12 @@ class TorchRenderer(DeclaredRenderer):
         """The plan. The error due to the map's size is measured on first access, as drawing alone does not need it."""
         error = self._made_of[0].once("error of the map's size", self._map_error)
         return self._plan.model_copy(update={"environment_map_error": error})
+
+    @cached_property
+    def _elsewhere(self) -> MovedScenes:
+        """The renderers of the scene from other cameras and with its objects elsewhere."""
+        groups = tuple(group for group in self._attacked if group not in TORCH.moving_groups)
+        return MovedScenes(self._made_of[0], self, lambda scene: TorchRenderer(scene, None, groups, self._tolerance))
 
     @cached_property
     def bump(self) -> Bump:
@@ -223,6 +234,7 @@ class TorchRenderer(DeclaredRenderer):
         that float32 still resolves them (see `normals`). Dents are bounded by what a thing could have (see `bump`).
         """
         furthest = torch.tensor(MAX_ANGLE, dtype=self._dtype)
+        lowest, highest = MovingCamera(self._made_of[0]).bounds
         infinity, deepest = (torch.tensor(value, dtype=self._dtype) for value in (torch.inf, bump.LARGEST))
         ranges = torch.tensor([dsbrdf.LOG_KAPPA_RANGE, dsbrdf.LOG_GAMMA_RANGE], dtype=self._dtype) * MATERIAL_UNIT
         return {
@@ -231,6 +243,9 @@ class TorchRenderer(DeclaredRenderer):
             "illumination_rgb": (-self._initial["illumination"][..., None].cpu(), infinity),
             "material": (ranges[:, :1], ranges[:, 1:]),
             "bump": (-deepest, deepest),
+            "translation": (-infinity, infinity),
+            "rotation": (-infinity, infinity),
+            "camera": (lowest.to(self._dtype), highest.to(self._dtype)),
         }
 
     def render(self, parameters: Mapping[str, Tensor]) -> Tensor:
@@ -275,6 +290,11 @@ class TorchRenderer(DeclaredRenderer):
 
     def _image(self, parameters: Parameters) -> Tensor:
         """Renders one image [H, W, 3]; groups that are not given keep the scene's own values."""
+        place = {group: value for group, value in parameters.items() if group in TORCH.moving_groups}
+        if place:
+            return self._elsewhere.image(
+                place, {g: value for g, value in parameters.items() if g not in TORCH.moving_groups}
+            )
         values = self._initial | parameters
         angles, intensity = self._canvas.covered(values["normals"]), values["illumination"].flatten()
         if self._turns is not None:
@@ -350,12 +370,11 @@ def smallest_map(scene: ResolvedScene, tolerance: Tolerance) -> tuple[int, int]:
 
 
 def varied(renderer: Renderer, parameters: Mapping[str, Tensor], variation: Variation) -> Parameters:  # noqa: ARG001
-    """Returns the values [B, …] by group under a variation of the map's intensity: all light is scaled, also that which
-    is attacked in one channel.
+    """Returns the values [B, …] by group under a variation of the view and of the map's intensity: all light is scaled,
+    also that which is attacked in one channel.
 
-    The renderer can draw no other variation. Its normals belong to the pixels of one view, and it cannot turn the map,
-    since each texel of the group `illumination` keeps its colour.
+    The map stays where it is, since each texel of the group `illumination` keeps its colour.
     """
-    return {
-        group: value * variation.intensity if group in LIGHT_GROUPS else value for group, value in parameters.items()
-    }
+    factor = dict.fromkeys(LIGHT_GROUPS, variation.intensity)
+    lit = {group: value * factor.get(group, 1.0) for group, value in parameters.items()}
+    return lit | {group: seen_from(value, variation) for group, value in parameters.items() if group == "camera"}

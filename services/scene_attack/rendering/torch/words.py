@@ -19,8 +19,10 @@ from scene_attack.rendering.physical_change import (
     number,
     signed,
 )
+from scene_attack.rendering.pose import poses
 from scene_attack.rendering.protocol import Renderer
 from scene_attack.rendering.torch import bump
+from scene_attack.rendering.torch.declaration import TORCH
 from scene_attack.rendering.torch.dsbrdf import (
     COSINE_FLOOR,
     ILLUMINATION_MEAN,
@@ -53,6 +55,8 @@ def worded(scene: ResolvedScene, renderer: Renderer, perturbation: Mapping[str, 
             first = not any(thing.change.group in LIGHT_GROUPS for thing in result)
             images = images_of_map(*maps(initial, perturbation)) if first else []
             result += light(group, change, images)
+        elif group in TORCH.moving_groups:
+            result += poses(scene, group, initial[group].double().numpy(), change.double().numpy())
         elif group == "bump":
             result += dents(scene, renderer, change)
         elif group == "material":

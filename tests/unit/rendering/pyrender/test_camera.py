@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from scene_attack.rendering.opengl.camera import CameraMatrices
+from scene_attack.rendering.pose import POLES, MovingCamera
 from scene_attack.rendering.pyrender.declaration import PYRENDER
-from scene_attack.rendering.pyrender.parameters import POLES, MovingCamera
 from scene_attack.rendering.pyrender.renderer import PyrenderRenderer
 from scene_attack.scenes.description import Floor, Lights, PointLight, SceneObject
 from scene_attack.scenes.mesh import FIT_RADIUS

@@ -9,7 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from scene_attack.rendering.factory import build
 from scene_attack.rendering.physical_change import Worded, number, worded
-from scene_attack.rendering.pyrender.words import Length, camera, color, lights, rotation, translation
+from scene_attack.rendering.pose import Length, camera, rotation, translation
+from scene_attack.rendering.pyrender.words import color, lights
 from scene_attack.scenes.description import Camera, Scene
 from scene_attack.scenes.resolve import ResolvedScene, resolve
 from scene_attack.scenes.view import camera_pose, camera_to_world

@@ -25,7 +25,10 @@ def moved(renderer: TorchRenderer, seed: int = 0, batch: int = 1) -> Parameters:
     light = 0.02 * ILLUMINATION_MEAN
     sizes = {"normals": 0.05, "illumination": light, "illumination_rgb": light, "material": 0.03 * MATERIAL_UNIT}
     sizes["bump"] = 2.0
+    initial = renderer.initial()
     return {
-        group: value + sizes[group] * torch.randn(batch, *value.shape, generator=rng, dtype=torch.float64).to(value)
-        for group, value in renderer.initial().items()
+        group: initial[group]
+        + sizes[group]
+        * torch.randn(batch, *initial[group].shape, generator=rng, dtype=torch.float64).to(initial[group])
+        for group in GROUPS
     }

@@ -4,7 +4,6 @@ import pytest
 import torch
 from torch import Tensor
 
-from scene_attack.rendering.torch.declaration import TORCH
 from scene_attack.rendering.torch.dsbrdf import MATERIAL_UNIT, preset
 from scene_attack.rendering.torch.light import illumination
 from scene_attack.rendering.torch.planner import gradient_errors
@@ -13,7 +12,7 @@ from scene_attack.rendering.torch.shader import Recipe, Surface
 from tests.unit.rendering.shading import sky
 from tests.unit.rendering.torch.planned import on_sphere
 
-GROUPS = tuple(name for name in TORCH.group_names if name != "bump")  # whose plan is that of normals
+GROUPS = ("normals", "illumination", "illumination_rgb", "material")  # into which others are turned
 
 
 @pytest.fixture(scope="module")

@@ -37,7 +37,9 @@ def scenes(draw: st.DrawFn) -> tuple[ResolvedScene, GBuffer, tuple[str, ...]]:
     gbuffer = sphere_gbuffer(scene, albedo=rng.random(3))
     rough = torch.tensor(rng.normal(size=(size, size, 3)) * draw(st.floats(0, 0.3)), dtype=torch.float32)
     normals = torch.nn.functional.normalize(gbuffer.normals + rough, dim=-1) * (gbuffer.coverage > 0)[..., None]
-    groups = tuple(g for g in TORCH.group_names if g in draw(st.sets(st.sampled_from(TORCH.group_names), min_size=1)))
+    still = [group for group in TORCH.group_names if group not in TORCH.moving_groups]
+    chosen = draw(st.sets(st.sampled_from(still), min_size=1))
+    groups = tuple(group for group in still if group in chosen)
     return scene, replace(gbuffer, normals=normals), groups
 
 

@@ -26,7 +26,7 @@ def test_image_is_the_sum_it_is_defined_as(tolerance: Tolerance, rtol: float, mo
     scene = sphere_scene((7, 9), sky(), TWO)
     gbuffer = sphere_gbuffer(scene, albedo=(0.3, 0.25, 0.2))
     renderer = TorchRenderer(scene, gbuffer, GROUPS, tolerance)
-    parameters = moved(renderer) if move else {g: v[None] for g, v in renderer.initial().items()}
+    parameters = moved(renderer) if move else {g: renderer.initial()[g][None] for g in GROUPS}
     found = renderer.render(parameters)[0].double().numpy()
     wanted = reference_image(scene, gbuffer, {g: v[0] for g, v in parameters.items()})
     assert 0.1 < wanted[3, 4].max() < wanted.max() < 0.99  # lit, and nothing clipped
@@ -224,7 +224,7 @@ def test_extremes_stay_finite(tolerance: Tolerance, case: str) -> None:
     if case == "sun":
         environment[2, 3] = 1e6
     renderer = sphere((12, 12), tolerance, environment)
-    start = {g: v[None] for g, v in renderer.initial().items()}
+    start = {g: renderer.initial()[g][None] for g in GROUPS}
     log_kappa, log_gamma = start["material"][..., 0, :], start["material"][..., 1, :]
     if case == "mirror":
         log_kappa[:], log_gamma[:] = log(1e4) * MATERIAL_UNIT, log(1e5) * MATERIAL_UNIT

@@ -53,13 +53,16 @@ def test_wrong_shapes_are_refused() -> None:
 def test_description_of_the_groups() -> None:
     renderer = sphere(tolerance=TIGHT)
     initial, bounds = renderer.initial(), renderer.bounds()
-    assert tuple(initial) == renderer.groups == GROUPS
+    assert tuple(initial) == renderer.groups == (*GROUPS, "translation", "rotation", "camera")
     assert {g: tuple(v.shape) for g, v in initial.items()} == {
         "normals": (12, 12, 2),
         "illumination": (4, 8),
         "illumination_rgb": (4, 8, 3),
         "material": (2, 3, 3, 2, 6),
         "bump": (2, NODES, NODES, NODES),
+        "translation": (2, 3),
+        "rotation": (2, 3),
+        "camera": (4,),
     }
     for group, value in initial.items():
         low, high = bounds[group]

@@ -1,0 +1,140 @@
+"""The scene from another camera, or with its objects elsewhere: the torch renderer's groups `camera`, `translation` and
+`rotation`.
+
+Its images are those of a renderer of the scene as it is then, with a plan of its own. That takes a fifth of a second to
+make, so the last `KEPT` are kept. Light, material and what belongs to an object's surface are as in the scene itself.
+
+Gradients of the moved groups are central differences of images: surfaces appear and vanish at outlines, which no
+derivative of shading shows.
+"""
+
+from collections import OrderedDict
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any, Protocol
+
+import torch
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from scene_attack.errors import InvalidRequest, JobFailure
+from scene_attack.rendering.pose import MovingCamera
+from scene_attack.rendering.protocol import Parameters
+from scene_attack.scenes.resolve import ResolvedScene
+from scene_attack.scenes.view import camera_pose, model_matrices
+
+KEPT = 32
+"""Renderers of moved scenes that are kept: more than the two sides of each coordinate's difference of one object."""
+HALF_STEP = 0.01
+"""Half-step of the differences, radians and scene units: about a pixel at the outline of an object that fills 224²."""
+
+
+def places(scene: ResolvedScene) -> Parameters:
+    """The scene's own values of the moving groups, float64, rounded to float32: translations and rotation vectors
+    [objects, 3] in scene units and radians, and the camera's coordinates [4] (`pose.MovingCamera`)."""
+    things = scene.description.objects
+    values = {
+        "translation": torch.tensor([thing.translation for thing in things], dtype=torch.float64),
+        "rotation": torch.tensor([thing.rotation for thing in things], dtype=torch.float64),
+        "camera": MovingCamera(scene).initial,
+    }
+    return {group: value.float().double() for group, value in values.items()}
+
+
+def moved(scene: ResolvedScene, values: Mapping[str, Tensor]) -> ResolvedScene:
+    """The scene with other values of some of the moving groups. A floor stays where it is."""
+    at = {group: value.double().numpy() for group, value in (places(scene) | dict(values)).items()}
+    models, view = scene.models, scene.view
+    if "translation" in values or "rotation" in values:
+        scales = torch.tensor([thing.scale for thing in scene.description.objects], dtype=torch.float64).numpy()
+        models = tuple(model_matrices(at["translation"], at["rotation"], scales))
+    if "camera" in values:
+        view = camera_pose(*at["camera"].tolist())
+    return replace(scene, models=models, view=view)
+
+
+class Draws(Protocol):
+    """A renderer of one scene."""
+
+    def initial(self) -> Parameters:
+        """The scene's own values by group."""
+        ...
+
+    def render(self, parameters: Mapping[str, Tensor]) -> Tensor:
+        """Renders images [B, H, W, 3]."""
+        ...
+
+
+class MovedScenes:
+    """Draws a scene that is moved. `own` is the renderer of the scene where it is, `make` makes that of another one."""
+
+    def __init__(self, scene: ResolvedScene, own: Draws, make: Callable[[ResolvedScene], Draws]) -> None:
+        self._scene, self._own, self._make = scene, own, make
+        self._start = places(scene)
+        self._kept: OrderedDict[str, Draws] = OrderedDict()
+
+    def image(self, place: Parameters, rest: Parameters) -> Tensor:
+        """The image [H, W, 3] of values of moving groups, `place`, and of the other groups; differentiable by both.
+
+        Raises ValueError for other normals than the scene's own from elsewhere: they belong to the pixels of one view.
+        """
+        image = self._drawn(place, rest)
+        if any(value.requires_grad for value in place.values()):
+            still = {group: value.detach() for group, value in rest.items()}
+            sizes = [value.numel() for value in place.values()]
+
+            def draw(values: Tensor) -> Tensor:
+                parts = zip(place.items(), torch.split(values, sizes), strict=True)
+                return self._drawn({group: part.view_as(value) for (group, value), part in parts}, still)
+
+            zeros: Tensor = _Differences.apply(  # type: ignore[no-untyped-call]
+                torch.cat([value.flatten() for value in place.values()]), draw, image.detach()
+            )
+            image = image + zeros
+        return image
+
+    def _drawn(self, place: Parameters, rest: Parameters) -> Tensor:
+        at = {group: value.detach().cpu() for group, value in place.items()}
+        at = {group: value for group, value in at.items() if not torch.equal(value, self._start[group].to(value.dtype))}
+        if at and "normals" in rest:
+            own = self._own.initial()["normals"]
+            if not torch.equal(rest["normals"].detach().cpu(), own):
+                raise ValueError("normals belong to the pixels of one view; they cannot be changed in a moved scene")
+            rest = {group: value for group, value in rest.items() if group != "normals"}
+        renderer = self._at(at) if at else self._own
+        return renderer.render({group: value[None] for group, value in rest.items()})[0]
+
+    def _at(self, place: Parameters) -> Draws:
+        """The renderer of the scene elsewhere: kept, or made."""
+        key = repr([(group, value.double().tolist()) for group, value in place.items()])
+        try:
+            renderer = self._kept.pop(key, None) or self._make(moved(self._scene, place))
+        except InvalidRequest as error:
+            raise JobFailure(
+                "internal", f"{', '.join(place)} left nothing to draw ({error.detail}); give `epsilon` or `bounds`"
+            ) from error
+        self._kept[key] = renderer
+        if len(self._kept) > KEPT:
+            self._kept.popitem(last=False)
+        return renderer
+
+
+class _Differences(torch.autograd.Function):
+    """Zeros, of the shape of an image, whose derivative by the values [n] is that of `draw` by central differences."""
+
+    @staticmethod
+    def forward(ctx: Any, values: Tensor, draw: Callable[[Tensor], Tensor], image: Tensor) -> Tensor:
+        ctx.values, ctx.draw = values.detach(), draw
+        return torch.zeros_like(image)
+
+    @staticmethod
+    @once_differentiable
+    @torch.no_grad()
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None, None]:
+        slopes = torch.zeros_like(ctx.values)
+        for k in range(len(slopes)):
+            step = torch.zeros_like(slopes)
+            step[k] = HALF_STEP
+            change = ctx.draw(ctx.values + step) - ctx.draw(ctx.values - step)
+            slopes[k] = (gradient.double() * change).sum() / (2 * HALF_STEP)
+        return slopes, None, None
