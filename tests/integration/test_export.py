@@ -142,9 +142,9 @@ def test_light_and_normals_of_a_torch_job(library: Library, tmp_path: Path) -> N
             },
             "attack": {
                 "renderer": "torch",
-                "groups": ["normals", "illumination", "illumination_rgb"],
+                "groups": ["normals", "illumination", "illumination_rgb", "lamp"],
                 "steps": 4,
-                "learning_rate": {"normals": 0.05, "illumination": 0.5, "illumination_rgb": 0.5},
+                "learning_rate": {"normals": 0.05, "illumination": 0.5, "illumination_rgb": 0.5, "lamp": 0.1},
             },
         }
     )

@@ -133,6 +133,7 @@ def write_bundle(files: Files, library: Library, write: Write, job: str | None =
         "bump": ("normals_before.npy", "normals_after.npy"),
         "illumination": ("environment_before.exr", "environment_after.exr"),
         "illumination_rgb": ("environment_before.exr", "environment_after.exr"),
+        "lamp": ("environment_before.exr", "environment_after.exr"),
         "image": ("original.png", "attacked.png"),
     }
     table = parameter_table(done.scene, done.spec.attack.renderer, done.perturbation, of_groups)

@@ -20,6 +20,7 @@ from scene_attack.rendering.protocol import Parameters
 from scene_attack.rendering.pyrender.declaration import PYRENDER
 from scene_attack.rendering.pyrender.parameters import ENERGY, IRRADIANCE, SceneParameters
 from scene_attack.rendering.torch.bump import Bump
+from scene_attack.rendering.torch.lamp import Lamp
 from scene_attack.rendering.torch.light import illumination
 from scene_attack.rendering.torch.surfaces import visible_surfaces
 from scene_attack.rendering.torch.table import to_vectors
@@ -136,6 +137,9 @@ def light_maps(scene: ResolvedScene, perturbation: Parameters) -> BeforeAfter:
         moved = moved + perturbation["illumination"].double()[..., None]
     if "illumination_rgb" in perturbation:
         moved = moved + perturbation["illumination_rgb"].double()
+    if "lamp" in perturbation:
+        intensity = light.intensity + perturbation.get("illumination", torch.zeros(())).double()
+        moved = moved + Lamp.of(scene, light).added(perturbation["lamp"].double(), intensity)
     return BeforeAfter(radiance(own), radiance(moved))
 
 

@@ -10,7 +10,7 @@ from scene_attack.rendering.torch.dsbrdf import COSINE_FLOOR, ILLUMINATION_MEAN,
 from scene_attack.scenes.description import Camera, Scene, SceneObject
 from scene_attack.scenes.mesh import FIT_RADIUS
 from scene_attack.scenes.resolve import ResolvedScene
-from tests.unit.rendering import dents
+from tests.unit.rendering import dents, lamps
 from tests.unit.rendering.shapes import mesh, placed
 
 UNCOLORED = {"plastic": (1, 2), "glossy-paint": (1, 2), "rubber": (1, 2)}
@@ -131,11 +131,14 @@ def dented(
 def reference_image(scene: ResolvedScene, gbuffer: GBuffer, parameters: dict[str, torch.Tensor]) -> np.ndarray:
     """The image [H, W, 3] by its definition: loops over pixels, directions, channels and lobes, in world space."""
     environment = np.asarray(scene.environment)
-    chroma, _, exposure = reference_exposure(environment)
+    chroma, own, exposure = reference_exposure(environment)
     angles, intensity, added, material = (
         parameters[group].detach().double().numpy()
         for group in ("normals", "illumination", "illumination_rgb", "material")
     )
+    if "lamp" in parameters:
+        solid = np.reshape([of for *_, of in texels(*own.shape)], own.shape)
+        added = added + lamps.added(chroma, own, intensity, solid, parameters["lamp"].detach().double().numpy())
     right, up, back = scene.view[:3, :3].T
     height, width = gbuffer.coverage.shape
     image = np.empty((height, width, 3))

@@ -68,12 +68,13 @@ def test_stronger_light_is_that_of_the_scene_described_so() -> None:
     assert float((ours - render(renderer("pyrender", lights=stronger), Variation())).abs().max()) < 1e-4
 
 
-@pytest.mark.parametrize("tint", [0.0, 4.0])
-def test_the_torch_renderers_light_is_scaled_before_the_display_curve(tint: float) -> None:
+@pytest.mark.parametrize(("tint", "lamp"), [(0.0, 0.0), (4.0, 0.0), (0.0, 0.3)])
+def test_the_torch_renderers_light_is_scaled_before_the_display_curve(tint: float, lamp: float) -> None:
     """Where an object covers a pixel and no channel is saturated; coloured light that is attacked is scaled too."""
     of = renderer("torch")
     start = {group: value[None].clone() for group, value in of.initial().items()}
     start["illumination_rgb"][..., 2] += tint
+    start["lamp"] += lamp
     plain, dimmed = (of.render(varied(of, start, Variation(intensity=factor)))[0] for factor in (1.0, 0.5))
     changed = ((plain - dimmed).abs().amin(dim=-1) > 0.05) & (plain.amax(dim=-1) < 0.98)
     assert int(changed.sum()) > 200

@@ -1,4 +1,5 @@
-"""Declares the torch renderer's differentiable groups: normals, illumination (in one channel or in three) and material.
+"""Declares the torch renderer's differentiable groups: normals, illumination (in one channel or in three), material,
+dents, and the light of the room.
 
 The paper has one intensity per direction of the environment map (footnote 1, L of W×H), so that is the default. The
 module needs no torch: the API checks requests by the groups and by the names of the material presets.
@@ -63,6 +64,20 @@ TORCH = Declaration(
             suggested_step=0.25,
             suggested_limit=20.0,
             natural_range="20 mm at a size of 1 m, in waves of at least 100 mm, with slopes of up to 30°",
+            by_default=False,
+        ),
+        Group(
+            name="lamp",
+            shape=("7",),
+            unit="shares of the natural range either way: the map's turn, brightness and colour temperature, and the "
+            "power, azimuth, elevation and radius of a lamp that is added; 0 at the start",
+            words="light of the room",
+            labels=labelled(("turn", "brightness", "colour temperature", "power", "azimuth", "elevation", "radius")),
+            vector_axes=0,
+            suggested_step=0.01,
+            suggested_limit=1.0,
+            natural_range="the map turned by up to 30°, up to a stop brighter or darker, of 2,700 to 6,500 K; and a "
+            "lamp above the horizon, of up to the map's power and 10° to 40° in radius",
             by_default=False,
         ),
         Group(

@@ -31,6 +31,7 @@ from scene_attack.rendering.torch import bump, dsbrdf
 from scene_attack.rendering.torch.bump import Bump
 from scene_attack.rendering.torch.declaration import TORCH
 from scene_attack.rendering.torch.dsbrdf import MATERIAL_UNIT, layers, preset
+from scene_attack.rendering.torch.lamp import LOWEST, Lamp
 from scene_attack.rendering.torch.light import LIGHT_GROUPS, Illumination, directions, illumination, solid_angles
 from scene_attack.rendering.torch.moved import MovedScenes, places
 from scene_attack.rendering.torch.planner import compile_plan, looked_at, map_error
@@ -43,7 +44,7 @@ from scene_attack.scenes.description import MAP_SIZES
 from scene_attack.scenes.environment import average
 from scene_attack.scenes.resolve import ResolvedScene
 
-TURNED_INTO = {"bump": "normals"}
+TURNED_INTO = {"bump": "normals", "lamp": "illumination_rgb"}
 """The group whose values another one's are turned into, for the planner: it plans for any values of these."""
 
 
@@ -79,6 +80,8 @@ class TorchRenderer(DeclaredRenderer):
     fixed.
     illumination_rgb [rows, cols, 3]: added to each texel's intensity, in each colour channel by itself; 0 at the start.
     The sum is held at ≥ 0. Only requests that name this group attack it: the paper's light has one channel.
+    lamp [7]: turn, brightness and colour temperature of the map, and a lamp that is added to it, as shares of what a
+    room could have (scene_attack.rendering.torch.lamp); 0 at the start.
     material [objects, 3, 3, 2, 6]: Bernstein coefficients of log κ and log γ by object, colour channel and lobe
     (scene_attack.rendering.torch.dsbrdf), times MATERIAL_UNIT.
     """
@@ -127,6 +130,7 @@ class TorchRenderer(DeclaredRenderer):
             "illumination_rgb": torch.zeros_like(light.chroma),
             "material": torch.stack(materials).to(self._device) * MATERIAL_UNIT,
             "bump": torch.zeros(n_objects, bump.NODES, bump.NODES, bump.NODES, device=self._device),
+            "lamp": torch.zeros(7, device=self._device),
             **{group: value.to(self._device) for group, value in places(scene).items()},
         }
         # Round to float32 whatever the dtype, so that the exact twin renders the same scene.
@@ -199,7 +203,7 @@ class TorchRenderer(DeclaredRenderer):
         ]
         self._made_of, self._to_camera = (scene, gbuffer, seen), to_camera
         self._is_exact, self._tolerance = tolerance == "exact", tolerance
-        self._plan, self._shaded, self._light = plan, (shown, surfaces), (sky, intensity)
+        self._plan, self._shaded, self._light, self._map = plan, (shown, surfaces), (sky, intensity), light
 
     @classmethod
     def build(cls, request: BuildRequest) -> "TorchRenderer":
@@ -223,6 +227,11 @@ class TorchRenderer(DeclaredRenderer):
         """The places of the surfaces among the dents of their objects."""
         return Bump.of(self._made_of[0], self._shaded[0], self._to_camera)
 
+    @cached_property
+    def lamp(self) -> Lamp:
+        """The map that the group `lamp` turns and dims, and adds a lamp to."""
+        return Lamp.of(self._made_of[0], self._map)
+
     def initial(self) -> Parameters:
         """Returns the scene's own values, {group: tensor}, in the renderer's dtype, rounded to float32."""
         return {group: value.cpu().clone() for group, value in self._initial.items()}
@@ -231,7 +240,8 @@ class TorchRenderer(DeclaredRenderer):
         """Returns the lowest and highest value of each group, {group: (low, high)}, broadcastable to it.
 
         Light is not negative; κ and γ stay in the ranges of `dsbrdf`; any angle is a normal, and angles are bounded so
-        that float32 still resolves them (see `normals`). Dents are bounded by what a thing could have (see `bump`).
+        that float32 still resolves them (see `normals`). Dents and lamps are bounded by what a thing and a room could
+        have (see `bump` and `lamp`).
         """
         furthest = torch.tensor(MAX_ANGLE, dtype=self._dtype)
         lowest, highest = MovingCamera(self._made_of[0]).bounds
@@ -243,6 +253,7 @@ class TorchRenderer(DeclaredRenderer):
             "illumination_rgb": (-self._initial["illumination"][..., None].cpu(), infinity),
             "material": (ranges[:, :1], ranges[:, 1:]),
             "bump": (-deepest, deepest),
+            "lamp": (torch.tensor(LOWEST, dtype=self._dtype), torch.ones(7, dtype=self._dtype)),
             "translation": (-infinity, infinity),
             "rotation": (-infinity, infinity),
             "camera": (lowest.to(self._dtype), highest.to(self._dtype)),
@@ -301,8 +312,11 @@ class TorchRenderer(DeclaredRenderer):
             angles = angles + self._turns
         if "bump" in parameters:
             angles = self.bump.turned(angles, values["bump"])
-        if "illumination_rgb" in parameters:
-            intensity = (intensity + parameters["illumination_rgb"].reshape(-1, 3).T).clamp_min(0.0)  # [3, D]
+        rgb = values["illumination_rgb"]
+        if "lamp" in parameters:
+            rgb = rgb + self.lamp.added(values["lamp"], values["illumination"])
+        if "lamp" in parameters or "illumination_rgb" in parameters:
+            intensity = (intensity + rgb.reshape(-1, 3).T).clamp_min(0.0)  # [3, D]
         shaders, materials = iter(self.shaders), [*values["material"], *self._fixed]
         shaded = []
         for parts, own, color, owner in zip(

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from scene_attack.rendering.physical_change import (
     Change,
+    ChangedValue,
     ChangeImage,
     Curve,
     PhysicalChange,
@@ -31,6 +32,7 @@ from scene_attack.rendering.torch.dsbrdf import (
     lobes,
     reflectance,
 )
+from scene_attack.rendering.torch.lamp import physical
 from scene_attack.rendering.torch.light import LIGHT_GROUPS
 from scene_attack.rendering.torch.renderer import TorchRenderer
 from scene_attack.rendering.torch.table import to_vectors
@@ -39,6 +41,21 @@ from scene_attack.scenes.mesh import FIT_RADIUS
 from scene_attack.scenes.resolve import ResolvedScene
 
 CHANNELS = ("red", "green", "blue")
+MAP_GROUPS = (*LIGHT_GROUPS, "lamp")
+"""The groups that change the environment map."""
+NOTICEABLE = 0.01
+"""Least share of its natural range by which the sentence about a lamp names a number: 0.3°, 0.7 % of the brightness,
+1 mired, 1 % of the map's power."""
+LAMP_UNITS = {
+    "turn": "degrees",
+    "brightness": "% of what it was",
+    "colour temperature": "K",
+    "power of the lamp": "% of the map's",
+    "azimuth of the lamp": "degrees",
+    "elevation of the lamp": "degrees",
+    "radius of the lamp": "degrees",
+}
+"""Units of the numbers of the group `lamp`, in its order."""
 
 
 def worded(scene: ResolvedScene, renderer: Renderer, perturbation: Mapping[str, Tensor]) -> list[Worded]:
@@ -51,10 +68,10 @@ def worded(scene: ResolvedScene, renderer: Renderer, perturbation: Mapping[str, 
     for group, change in perturbation.items():
         if group == "normals":
             result.append(normals(initial[group], change))
-        elif group in LIGHT_GROUPS:
-            first = not any(thing.change.group in LIGHT_GROUPS for thing in result)
-            images = images_of_map(*maps(initial, perturbation)) if first else []
-            result += light(group, change, images)
+        elif group in MAP_GROUPS:
+            first = not any(thing.change.group in MAP_GROUPS for thing in result)
+            images = images_of_map(*maps(renderer, perturbation)) if first else []
+            result += [lamp(change, images)] if group == "lamp" else light(group, change, images)
         elif group in TORCH.moving_groups:
             result += poses(scene, group, initial[group].double().numpy(), change.double().numpy())
         elif group == "bump":
@@ -140,6 +157,51 @@ def light(group: str, change: Tensor, images: list[ChangeImage]) -> Iterator[Wor
         images = []
 
 
+def lamp(change: Tensor, images: list[ChangeImage]) -> Worded:
+    """The turn, brightness and colour of the environment map and the lamp that is added to it, by values [7] of the
+    group (scene_attack.rendering.torch.lamp)."""
+    before, after = (_numbers(values) for values in (torch.zeros_like(change), change))
+    turned, dimmed, tinted, lit = (change[:4].abs() >= NOTICEABLE).tolist()
+    brighter = after["brightness"] - before["brightness"]
+    parts = []
+    if turned:
+        parts.append(f"turned by {signed(after['turn'])}°")
+    if dimmed:
+        parts.append(f"{number(abs(brighter))} % {'brighter' if brighter > 0 else 'dimmer'}")
+    if tinted:
+        parts.append(f"{after['colour temperature']:,.0f} K in place of {before['colour temperature']:,.0f} K")
+    if lit:
+        parts.append(
+            f"with a lamp of {number(after['power of the lamp'])} % of its power at azimuth "
+            f"{after['azimuth of the lamp']:.0f}°, elevation {after['elevation of the lamp']:.0f}°, of "
+            f"{after['radius of the lamp']:.0f}° in radius"
+        )
+    subject, used = "environment map", 100 * float(change[: 7 if lit else 4].abs().max())
+    sizes = [
+        PhysicalChange(group="lamp", subject="map", measure=name, value=after[name] - before[name], unit=unit)
+        for name, unit in list(LAMP_UNITS.items())[: 7 if lit else 4]
+    ]
+    sizes.append(
+        PhysicalChange(group="lamp", subject="map", measure="share of the natural range", value=used, unit="%")
+    )
+    values = [
+        ChangedValue(
+            name=f"{subject}, {size.measure}", unit=size.unit, before=before[size.measure], after=after[size.measure]
+        )
+        for size in sizes[:-1]
+    ]
+    sentence = ", ".join(parts) or "changed by less than 1 % of what a room could have"
+    values.append(from_zero(sizes[-1], subject))
+    return Worded(Change(group="lamp", subject=subject, sentence=sentence, values=values, images=images), sizes)
+
+
+def _numbers(values: Tensor) -> dict[str, float]:
+    """Values [7] of the group `lamp` in the units of LAMP_UNITS."""
+    numbers = [float(value) for value in physical(values.double().cpu())]
+    scales = [100.0 if unit.startswith("%") else 1.0 for unit in LAMP_UNITS.values()]
+    return {name: scale * value for name, scale, value in zip(LAMP_UNITS, scales, numbers, strict=True)}
+
+
 def _sizes(group: str, subject: str, values: Tensor, thing: str, unit: str) -> list[PhysicalChange]:
     """The root mean square of values [n], and the one that is furthest from 0."""
     largest = float(values[values.abs().argmax()])
@@ -200,8 +262,8 @@ def drawn(renderer: Renderer, perturbation: Mapping[str, Tensor]) -> dict[str, T
         images["dents.png"] = height_image(renderer, perturbation["bump"].double())
     if "normals" in perturbation:
         images["normals-tilt.png"] = tilt_image(tilts(initial["normals"], perturbation["normals"]))
-    if any(group in perturbation for group in LIGHT_GROUPS):
-        before, after = maps(initial, perturbation)
+    if any(group in perturbation for group in MAP_GROUPS):
+        before, after = maps(renderer, perturbation)
         images |= {"map-before.png": map_image(before), "map-after.png": map_image(after)}
         images["map-ratio.png"] = ratio_image(stops(before, after))
     return images
@@ -231,10 +293,16 @@ def images_of_map(before: Tensor, after: Tensor) -> list[ChangeImage]:
     ]
 
 
-def maps(initial: Mapping[str, Tensor], perturbation: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
+def maps(renderer: Renderer, perturbation: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
     """The map's intensities before and after, as `intensities` has them."""
-    changed = {group: initial[group] + perturbation[group] for group in LIGHT_GROUPS if group in perturbation}
-    return intensities(initial), intensities(dict(initial) | changed)
+    initial = renderer.initial()
+    changed = [group for group in MAP_GROUPS if group in perturbation]
+    values = dict(initial) | {group: initial[group] + perturbation[group] for group in changed}
+    if "lamp" in perturbation:
+        assert isinstance(renderer, TorchRenderer)
+        added = renderer.lamp.added(values["lamp"], values["illumination"])
+        values["illumination_rgb"] = values["illumination_rgb"] + added
+    return intensities(initial), intensities(values)
 
 
 def tilts(initial: Tensor, change: Tensor) -> Tensor:
