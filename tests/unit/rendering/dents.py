@@ -3,7 +3,8 @@
 import numpy as np
 from scipy.interpolate import BSpline
 
-from scene_attack.rendering.torch.bump import NODES, SPACING, UNIT
+from scene_attack.rendering.torch.bump import UNIT
+from scene_attack.rendering.torch.lattice import NODES, SPACING
 from scene_attack.scenes.mesh import FIT_RADIUS
 
 SPLINE = BSpline.basis_element([-2, -1, 0, 1, 2], extrapolate=False)

@@ -1,12 +1,9 @@
 """Dents: a height over the surface of each object, which turns its normals. It is of the object, not of the image, so
 that one dented object is the same from every view.
 
-The height is a solid function of the place in the object's own frame, so that it needs no map of the surface and no
-mesh without holes: a sum of tensor products of cubic B-splines (Unser 1999, eq. 4) over a lattice whose nodes are half
-a wavelength apart. It is twice continuously differentiable, never beyond its largest coefficient, and has nearly
-nothing of wavelengths shorter than `WAVELENGTH`. To first order a surface with the normal n that is raised by h has the
-normal n − ∇h + (n·∇h) n: the normals are those of a surface that exists, unlike two free angles per pixel. Neither
-points nor outlines nor shadows move.
+The height is a solid function of the place in the object's own frame (scene_attack.rendering.torch.lattice). To first
+order a surface with the normal n that is raised by h has the normal n − ∇h + (n·∇h) n: the normals are those of a
+surface that exists, unlike two free angles per pixel. Neither points nor outlines nor shadows move.
 
 The size of an object is the diameter of its bounding sphere, and coefficients are thousandths of it: millimetres for a
 thing of one metre. Where they would be steeper than `STEEPEST`, dents are drawn less high.
@@ -22,13 +19,11 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from scene_attack.rendering.opengl.gbuffer import Fragments
-from scene_attack.rendering.torch.surfaces import camera_rays
+from scene_attack.rendering.torch.lattice import CHUNK, NODES, SPACING, nodes, places, product, splines
 from scene_attack.rendering.torch.table import to_angles, to_vectors
 from scene_attack.scenes.mesh import FIT_RADIUS
 from scene_attack.scenes.resolve import ResolvedScene
 
-WAVELENGTH = 0.1
-"""Shortest wavelength of the height, in sizes of the object."""
 LARGEST = 20.0
 """Largest magnitude of a coefficient, and so of a height, in thousandths of the size."""
 STEEPEST = 29.0
@@ -37,15 +32,8 @@ STEEPEST = 29.0
 PER_CELL = 2
 """Places along each edge of a cell at which slopes are limited: its node and its middle, where steep waves are
 steepest."""
-NODES = round(2 / WAVELENGTH) + 3
-"""Nodes of the lattice along each axis: those of a cube around the bounding sphere, and one more on each side but the
-last, where there are two, so that each point of it has four."""
 UNIT = 2 * FIT_RADIUS / 1000
 """Scene units, at scale 1, of a coefficient of 1."""
-SPACING = FIT_RADIUS * WAVELENGTH
-"""Distance of nodes, likewise."""
-CHUNK = 16_384
-"""Surfaces whose 64 nodes each are held at a time: 25 MB in float64."""
 NEXT_TO_POLE = 1e-12
 """Angle, radians, by which a normal at the pole is moved off it, where its azimuth has no derivative."""
 
@@ -71,20 +59,12 @@ class Bump:
         """The places of the surfaces `shown`. `to_camera` [3, 3] turns world vectors, as rows, into the camera's
         frame.
         """
-        device, index = to_camera.device, shown.object_index
-        world = torch.from_numpy(scene.eye + camera_rays(scene, shown) * shown.depth.cpu().numpy()[:, None]).to(device)
-        places, turns = torch.zeros_like(world), world.new_zeros(len(world), 3, 3)
+        turns = to_camera.new_zeros(len(shown.pixels), 3, 3)
         for k in range(len(scene.description.objects)):
-            model = torch.as_tensor(scene.placed[k].model, dtype=torch.float64, device=device)
-            linear, own = model[:3, :3], index == k
-            places[own] = torch.linalg.solve(linear, (world[own] - model[:3, 3]).T).T
-            turns[own] = to_camera.T @ linear / torch.linalg.vector_norm(linear[:, 0])
-        steps = ((places + FIT_RADIUS) / SPACING).clamp(0.0, NODES - 3.0)
-        cell = steps.floor().clamp_max(NODES - 4.0)
-        across = cell.long()
-        first = (((index.clamp_min(0) * NODES + across[:, 0]) * NODES) + across[:, 1]) * NODES + across[:, 2]
-        first = torch.where(index < len(scene.description.objects), first, 0)
-        return cls(shown, shown.normals.double() @ to_camera, first, steps - cell, turns)
+            linear = torch.as_tensor(scene.placed[k].model, dtype=torch.float64, device=to_camera.device)[:3, :3]
+            turns[shown.object_index == k] = to_camera.T @ linear / torch.linalg.vector_norm(linear[:, 0])
+        first, within = places(scene, shown, to_camera.device)
+        return cls(shown, shown.normals.double() @ to_camera, first, within, turns)
 
     def turned(self, angles: Tensor, coefficients: Tensor) -> Tensor:
         """Returns angles [P, 2], turned by the dents `coefficients` [objects, NODES, NODES, NODES], in the dtype of the
@@ -109,8 +89,8 @@ class Bump:
         length: 1 is 45°."""
         flat, parts = coefficients.flatten(), []
         for first, within, to_camera in self._chunks(coefficients.dtype):
-            nodes, weights = _nodes(first, flat.device), _slope_weights(within)
-            gradient = flat.index_select(0, nodes.flatten()).view(-1, 1, 64) @ weights
+            weights = _slope_weights(within)
+            gradient = flat.index_select(0, nodes(first, flat.device).flatten()).view(-1, 1, 64) @ weights
             parts.append((to_camera @ gradient.mT)[..., 0])
         return torch.cat(parts)
 
@@ -120,7 +100,7 @@ class Bump:
         for first, within, to_camera in self._chunks(like.dtype):
             own = gradient[start : start + len(first), :, None]
             parts = _slope_weights(within) @ (to_camera.mT @ own)
-            result.index_add_(0, _nodes(first, like.device).flatten(), parts.flatten())
+            result.index_add_(0, nodes(first, like.device).flatten(), parts.flatten())
             start += len(first)
         return result.view_as(like)
 
@@ -128,9 +108,9 @@ class Bump:
         """Heights [P] of the surfaces in the dents `coefficients`, in their unit; 0 for those that are no object's."""
         flat, parts = limited(coefficients).flatten(), []
         for first, within, to_camera in self._chunks(coefficients.dtype):
-            values = flat.index_select(0, _nodes(first, flat.device).flatten()).view(-1, 64)
+            values = flat.index_select(0, nodes(first, flat.device).flatten()).view(-1, 64)
             is_object = to_camera.flatten(1).any(1)
-            parts.append((values * _product(*_splines(within)[0].unbind(1))).sum(1) * is_object)
+            parts.append((values * product(*splines(within)[0].unbind(1))).sum(1) * is_object)
         return torch.cat(parts)
 
     def _chunks(self, dtype: torch.dtype) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
@@ -165,7 +145,7 @@ def _along_an_axis(like: Tensor) -> tuple[Tensor, Tensor]:
     first = steps.floor().clamp_max(NODES - 4.0)
     nodes = first.long()[:, None] + torch.arange(4)
     empty = torch.zeros(len(steps), NODES, dtype=torch.float64)
-    values, slopes = (empty.scatter(1, nodes, of[:, 0]).to(like) for of in _splines((steps - first)[:, None]))
+    values, slopes = (empty.scatter(1, nodes, of[:, 0]).to(like) for of in splines((steps - first)[:, None]))
     return values, slopes
 
 
@@ -191,29 +171,10 @@ class _Slopes(torch.autograd.Function):
         return ctx.bump.pulled(gradient, ctx.like), None
 
 
-def _nodes(first: Tensor, device: torch.device) -> Tensor:
-    """The flat indices [P, 64] of the nodes of surfaces, of which the first are [P]."""
-    steps = torch.arange(4, device=device)
-    return first[:, None] + ((steps[:, None, None] * NODES + steps[:, None]) * NODES + steps).flatten()
-
-
-def _splines(within: Tensor) -> tuple[Tensor, Tensor]:
-    """The four cubic B-splines that are not 0 at places [P, 3] within a cell, and their derivatives: each [P, 3, 4]."""
-    t, s = within, 1 - within
-    values = (s**3, 3 * t**3 - 6 * t**2 + 4, 3 * s**3 - 6 * s**2 + 4, t**3)
-    derivatives = (-(s**2), 3 * t**2 - 4 * t, 4 * s - 3 * s**2, t**2)
-    return torch.stack(values, dim=-1) / 6, torch.stack(derivatives, dim=-1) / 2
-
-
-def _product(x: Tensor, y: Tensor, z: Tensor) -> Tensor:
-    """The products [P, 64] of factors [P, 4] along each axis."""
-    return (x[:, :, None, None] * y[:, None, :, None] * z[:, None, None, :]).flatten(1)
-
-
 def _slope_weights(within: Tensor) -> Tensor:
     """The gradient [P, 64, 3], in the object's frame, that a coefficient of 1 at each node gives."""
-    (x, y, z), (dx, dy, dz) = (of.unbind(1) for of in _splines(within))
-    gradients = torch.stack((_product(dx, y, z), _product(x, dy, z), _product(x, y, dz)), dim=-1)
+    (x, y, z), (dx, dy, dz) = (of.unbind(1) for of in splines(within))
+    gradients = torch.stack((product(dx, y, z), product(x, dy, z), product(x, y, dz)), dim=-1)
     return gradients * (UNIT / SPACING)
 
 

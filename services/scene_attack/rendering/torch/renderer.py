@@ -32,6 +32,7 @@ from scene_attack.rendering.torch.bump import Bump
 from scene_attack.rendering.torch.declaration import TORCH
 from scene_attack.rendering.torch.dsbrdf import MATERIAL_UNIT, layers, preset
 from scene_attack.rendering.torch.lamp import LOWEST, Lamp
+from scene_attack.rendering.torch.lattice import NODES
 from scene_attack.rendering.torch.light import LIGHT_GROUPS, Illumination, directions, illumination, solid_angles
 from scene_attack.rendering.torch.moved import MovedScenes, places
 from scene_attack.rendering.torch.planner import compile_plan, looked_at, map_error
@@ -129,7 +130,7 @@ class TorchRenderer(DeclaredRenderer):
             "illumination": light.intensity,
             "illumination_rgb": torch.zeros_like(light.chroma),
             "material": torch.stack(materials).to(self._device) * MATERIAL_UNIT,
-            "bump": torch.zeros(n_objects, bump.NODES, bump.NODES, bump.NODES, device=self._device),
+            "bump": torch.zeros(n_objects, NODES, NODES, NODES, device=self._device),
             "lamp": torch.zeros(7, device=self._device),
             **{group: value.to(self._device) for group, value in places(scene).items()},
         }

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from scene_attack.errors import InvalidRequest
-from scene_attack.rendering.torch.bump import NODES
+from scene_attack.rendering.torch.lattice import NODES
 from tests.unit.rendering.shading import sky
 from tests.unit.rendering.torch.spheres import GROUPS, TIGHT, moved, sphere
 
