@@ -10,7 +10,7 @@ from scene_attack.rendering.torch.dsbrdf import COSINE_FLOOR, ILLUMINATION_MEAN,
 from scene_attack.scenes.description import Camera, Scene, SceneObject
 from scene_attack.scenes.mesh import FIT_RADIUS
 from scene_attack.scenes.resolve import ResolvedScene
-from tests.unit.rendering import dents, lamps
+from tests.unit.rendering import dents, dials, lamps
 from tests.unit.rendering.shapes import mesh, placed
 
 UNCOLORED = {"plastic": (1, 2), "glossy-paint": (1, 2), "rubber": (1, 2)}
@@ -139,6 +139,10 @@ def reference_image(scene: ResolvedScene, gbuffer: GBuffer, parameters: dict[str
     if "lamp" in parameters:
         solid = np.reshape([of for *_, of in texels(*own.shape)], own.shape)
         added = added + lamps.added(chroma, own, intensity, solid, parameters["lamp"].detach().double().numpy())
+    if "dials" in parameters:
+        names = [described.material for described in scene.description.objects]
+        settings = parameters["dials"].double().numpy()
+        material = np.stack([dials.turned(*own) for own in zip(names, material, settings, strict=True)])
     right, up, back = scene.view[:3, :3].T
     height, width = gbuffer.coverage.shape
     image = np.empty((height, width, 3))

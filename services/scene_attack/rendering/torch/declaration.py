@@ -67,6 +67,19 @@ TORCH = Declaration(
             by_default=False,
         ),
         Group(
+            name="dials",
+            shape=("objects", "5"),
+            unit="natural ranges: +1 is highlights twice as wide, gloss twice as strong, a channel of the colour a "
+            "tenth lighter; −1 is the inverse",
+            words="dials of the material",
+            labels=labelled("object {}", ("roughness", "gloss", "red", "green", "blue")),
+            suggested_step=0.025,
+            suggested_limit=1.0,
+            natural_range="highlights from half to twice as wide, gloss from half to double (of a metal, no stronger), "
+            "each channel of the colour within a tenth",
+            by_default=False,
+        ),
+        Group(
             name="lamp",
             shape=("7",),
             unit="shares of the natural range either way: the map's turn, brightness and colour temperature, and the "

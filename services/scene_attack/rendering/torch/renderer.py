@@ -27,7 +27,7 @@ from scene_attack.rendering.opengl.gbuffer import GBuffer, rasterise
 from scene_attack.rendering.plan import DEFAULT_TOLERANCE, Item, Plan, Tolerance
 from scene_attack.rendering.pose import MovingCamera, seen_from
 from scene_attack.rendering.protocol import Parameters, Renderer
-from scene_attack.rendering.torch import bump, dsbrdf
+from scene_attack.rendering.torch import bump, dials, dsbrdf
 from scene_attack.rendering.torch.bump import Bump
 from scene_attack.rendering.torch.declaration import TORCH
 from scene_attack.rendering.torch.dsbrdf import MATERIAL_UNIT, layers, preset
@@ -45,7 +45,7 @@ from scene_attack.scenes.description import MAP_SIZES
 from scene_attack.scenes.environment import average
 from scene_attack.scenes.resolve import ResolvedScene
 
-TURNED_INTO = {"bump": "normals", "lamp": "illumination_rgb"}
+TURNED_INTO = {"bump": "normals", "dials": "material", "lamp": "illumination_rgb"}
 """The group whose values another one's are turned into, for the planner: it plans for any values of these."""
 
 
@@ -81,6 +81,8 @@ class TorchRenderer(DeclaredRenderer):
     fixed.
     illumination_rgb [rows, cols, 3]: added to each texel's intensity, in each colour channel by itself; 0 at the start.
     The sum is held at ≥ 0. Only requests that name this group attack it: the paper's light has one channel.
+    dials [objects, 5]: roughness, gloss and tint of each object's material, in natural ranges
+    (scene_attack.rendering.torch.dials), which turn it; 0 at the start.
     lamp [7]: turn, brightness and colour temperature of the map, and a lamp that is added to it, as shares of what a
     room could have (scene_attack.rendering.torch.lamp); 0 at the start.
     material [objects, 3, 3, 2, 6]: Bernstein coefficients of log κ and log γ by object, colour channel and lobe
@@ -131,6 +133,7 @@ class TorchRenderer(DeclaredRenderer):
             "illumination_rgb": torch.zeros_like(light.chroma),
             "material": torch.stack(materials).to(self._device) * MATERIAL_UNIT,
             "bump": torch.zeros(n_objects, NODES, NODES, NODES, device=self._device),
+            "dials": torch.zeros(n_objects, len(dials.NAMES), device=self._device),
             "lamp": torch.zeros(7, device=self._device),
             **{group: value.to(self._device) for group, value in places(scene).items()},
         }
@@ -155,6 +158,10 @@ class TorchRenderer(DeclaredRenderer):
         ground = torch.tensor(scene.ground, dtype=dtype, device=self._device)
         ground = ground if ground.dim() == 1 else ground.reshape(-1, 3)
         self._colors = torch.split(base_color.to(dtype), self._counts)
+        self._lobes = dials.kinds([placed.described.material for placed in scene.placed[:n_objects]]).to(self._device)
+        none = base_color.new_zeros(1, 3)
+        lightest = [torch.cat([base_color[shown.object_index == k], none]).amax(0) for k in range(n_objects)]
+        self._dials = dials.bounds(self._lobes, torch.stack(lightest))
         # The radiance of an object with layers has its colours already.
         own_colors = [
             color if len(own) == 1 else torch.ones_like(color)
@@ -195,7 +202,8 @@ class TorchRenderer(DeclaredRenderer):
             planned = tuple(
                 dict.fromkeys(TURNED_INTO.get(group, group) for group in groups if group not in TORCH.moving_groups)
             )
-            return compile_plan(surfaces, sky, intensity, planned, tolerance, self.size, items, n_pixels)
+            hardest = [*self._hardest(surfaces, rounded["material"])]
+            return compile_plan(hardest, sky, intensity, planned, tolerance, self.size, items, n_pixels)
 
         what = "recipes", self._attacked, tolerance
         recipes, plan = scene.once(what, compiled_plan) if is_own else compiled_plan()
@@ -228,6 +236,11 @@ class TorchRenderer(DeclaredRenderer):
         """The places of the surfaces among the dents of their objects."""
         return Bump.of(self._made_of[0], self._shaded[0], self._to_camera)
 
+    def turned(self, settings: Tensor) -> Tensor:
+        """Returns the materials [objects, 3, 3, 2, 6] of the scene's objects, turned by dials [objects, 5]."""
+        own = self._initial["material"]
+        return dials.turned(own, settings.to(own), self._lobes)
+
     @cached_property
     def lamp(self) -> Lamp:
         """The map that the group `lamp` turns and dims, and adds a lamp to."""
@@ -241,8 +254,8 @@ class TorchRenderer(DeclaredRenderer):
         """Returns the lowest and highest value of each group, {group: (low, high)}, broadcastable to it.
 
         Light is not negative; κ and γ stay in the ranges of `dsbrdf`; any angle is a normal, and angles are bounded so
-        that float32 still resolves them (see `normals`). Dents and lamps are bounded by what a thing and a room could
-        have (see `bump` and `lamp`).
+        that float32 still resolves them (see `normals`). Dents, dials and lamps are bounded by what a thing and a room
+        could have (see `bump`, `dials` and `lamp`).
         """
         furthest = torch.tensor(MAX_ANGLE, dtype=self._dtype)
         lowest, highest = MovingCamera(self._made_of[0]).bounds
@@ -254,6 +267,7 @@ class TorchRenderer(DeclaredRenderer):
             "illumination_rgb": (-self._initial["illumination"][..., None].cpu(), infinity),
             "material": (ranges[:, :1], ranges[:, 1:]),
             "bump": (-deepest, deepest),
+            "dials": (self._dials[0].cpu().to(self._dtype), self._dials[1].cpu().to(self._dtype)),
             "lamp": (torch.tensor(LOWEST, dtype=self._dtype), torch.ones(7, dtype=self._dtype)),
             "translation": (-infinity, infinity),
             "rotation": (-infinity, infinity),
@@ -318,6 +332,8 @@ class TorchRenderer(DeclaredRenderer):
             rgb = rgb + self.lamp.added(values["lamp"], values["illumination"])
         if "lamp" in parameters or "illumination_rgb" in parameters:
             intensity = (intensity + rgb.reshape(-1, 3).T).clamp_min(0.0)  # [3, D]
+        if "dials" in parameters:
+            values["material"] = dials.turned(values["material"], values["dials"], self._lobes)
         shaders, materials = iter(self.shaders), [*values["material"], *self._fixed]
         shaded = []
         for parts, own, color, owner in zip(
@@ -327,6 +343,16 @@ class TorchRenderer(DeclaredRenderer):
             radiances = [next(shaders)(own, intensity, layer.material(material)).to(self._dtype) for layer in parts]
             shaded.append(radiances[0] if len(parts) == 1 else color * radiances[0] + radiances[1])
         return self._canvas.image(torch.cat(shaded) if len(shaded) > 1 else shaded[0])
+
+    def _hardest(self, surfaces: Sequence[Surface], materials: Tensor) -> Iterator[Surface]:
+        """Yields the surfaces as the plan is made for them: at the end of the attacked groups' natural ranges where
+        errors are largest. `materials` [objects, 3, 3, 2, 6], in which a floor may be last, are the scene's own."""
+        if "dials" in self._attacked:
+            turned = dials.turned(materials[: len(self._lobes)], dials.sharpest(self._dials), self._lobes)
+            materials = torch.cat([turned, materials[len(self._lobes) :]])
+        layers_of_surfaces = (layer for of_region in self._layers for layer in of_region)
+        for surface, layer in zip(surfaces, layers_of_surfaces, strict=True):
+            yield replace(surface, material=layer.material(materials[layer.owner]))
 
     def _map_error(self) -> float | None:
         """Returns the error of a displayed value due to the environment map's size; None for the largest size."""

@@ -17,12 +17,13 @@ from scene_attack.rendering.physical_change import (
     PhysicalChange,
     Worded,
     from_zero,
+    listed,
     number,
     signed,
 )
 from scene_attack.rendering.pose import poses
 from scene_attack.rendering.protocol import Renderer
-from scene_attack.rendering.torch import bump
+from scene_attack.rendering.torch import bump, dials
 from scene_attack.rendering.torch.declaration import TORCH
 from scene_attack.rendering.torch.dsbrdf import (
     COSINE_FLOOR,
@@ -76,6 +77,8 @@ def worded(scene: ResolvedScene, renderer: Renderer, perturbation: Mapping[str, 
             result += poses(scene, group, initial[group].double().numpy(), change.double().numpy())
         elif group == "bump":
             result += dents(scene, renderer, change)
+        elif group == "dials":
+            result += dials_turned(scene, renderer, change)
         elif group == "material":
             names = object_names(scene.description, scene.titles)
             result += [material(k, name, initial[group][k], change[k]) for k, name in enumerate(names)]
@@ -135,6 +138,47 @@ def dents(scene: ResolvedScene, renderer: Renderer, change: Tensor) -> Iterator[
             images=[ChangeImage(file="dents.png", words=f"heights: {number(most)} mm is red, {number(-most)} mm blue")],
         )
         yield Worded(dented, [typical, largest, steepest, used])
+
+
+def dials_turned(scene: ResolvedScene, renderer: Renderer, change: Tensor) -> Iterator[Worded]:
+    """Turns [objects, 5] of the dials of materials (scene_attack.rendering.torch.dials), by object, with the curves of
+    its reflectance."""
+    assert isinstance(renderer, TorchRenderer)
+    before, after = renderer.initial()["material"], renderer.turned(change)
+    for k, name in enumerate(object_names(scene.description, scene.titles)):
+        own = change[k].double().tolist()
+        if not any(own):
+            continue
+        subject = f"material of {name}"
+        factors = [dials.WIDTH, dials.GLOSS, dials.TINT, dials.TINT, dials.TINT]
+        percent = [100 * (factor**value - 1) for factor, value in zip(factors, own, strict=True)]
+        measures = ["width of its highlights", "strength of its gloss", *(f"reflectance in {c}" for c in CHANNELS)]
+        used = max(abs(value) for value in own)
+        sizes = [
+            PhysicalChange(group="dials", subject=subject, measure=measure, value=value, unit="%")
+            for measure, value in zip([*measures, "share of the natural range"], [*percent, 100 * used], strict=True)
+        ]
+        words = [
+            f"{number(abs(value))} % {more if value > 0 else less}"
+            for value, (more, less) in zip(percent, DIAL_WORDS, strict=True)
+            if value
+        ]
+        turned = Change(
+            group="dials",
+            subject=subject,
+            sentence=f"became {listed(words)}, with {number(100 * used)} % of its natural range",
+            values=[from_zero(size, subject) for size in sizes],
+            curves=lobe_curves(before[k], (after - before)[k].cpu()),
+        )
+        yield Worded(turned, sizes)
+
+
+DIAL_WORDS = (
+    ("wider in its highlights", "narrower in its highlights"),
+    ("stronger in its gloss", "weaker in its gloss"),
+    *((f"lighter in {channel}", f"darker in {channel}") for channel in CHANNELS),
+)
+"""Of each dial (`dials.NAMES`), turned up and down."""
 
 
 def light(group: str, change: Tensor, images: list[ChangeImage]) -> Iterator[Worded]:

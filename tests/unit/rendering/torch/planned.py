@@ -35,7 +35,8 @@ def moved(renderer: TorchRenderer, groups: tuple[str, ...], far: float = 1.0, se
     """Initial values of the groups, [1, ...] each, plus steps of equal size with random signs, within the bounds."""
     random = torch.Generator().manual_seed(seed)
     light = 0.1 * ILLUMINATION_MEAN
-    size = {"normals": 0.1, "illumination": light, "illumination_rgb": light, "material": 1.0, "bump": 3.0, "lamp": 0.5}
+    size = {"normals": 0.1, "illumination": light, "illumination_rgb": light, "material": 1.0, "bump": 3.0}
+    size |= {"dials": 1.0, "lamp": 0.5}
     start = renderer.initial()
     parameters = {}
     for group in groups:

@@ -60,6 +60,7 @@ def test_description_of_the_groups() -> None:
         "illumination_rgb": (4, 8, 3),
         "material": (2, 3, 3, 2, 6),
         "bump": (2, NODES, NODES, NODES),
+        "dials": (2, 5),
         "lamp": (7,),
         "translation": (2, 3),
         "rotation": (2, 3),
