@@ -49,7 +49,7 @@ NOTICEABLE = 0.01
 1 mired, 1 % of the map's power."""
 LAMP_UNITS = {
     "turn": "degrees",
-    "brightness": "% of what it was",
+    "brightness": "%",
     "colour temperature": "K",
     "power of the lamp": "% of the map's",
     "azimuth of the lamp": "degrees",
@@ -205,38 +205,38 @@ def lamp(change: Tensor, images: list[ChangeImage]) -> Worded:
     """The turn, brightness and colour of the environment map and the lamp that is added to it, by values [7] of the
     group (scene_attack.rendering.torch.lamp)."""
     before, after = (_numbers(values) for values in (torch.zeros_like(change), change))
-    turned, dimmed, tinted, lit = (change[:4].abs() >= NOTICEABLE).tolist()
-    brighter = after["brightness"] - before["brightness"]
-    parts = []
-    if turned:
-        parts.append(f"turned by {signed(after['turn'])}°")
-    if dimmed:
-        parts.append(f"{number(abs(brighter))} % {'brighter' if brighter > 0 else 'dimmer'}")
-    if tinted:
-        parts.append(f"{after['colour temperature']:,.0f} K in place of {before['colour temperature']:,.0f} K")
-    if lit:
-        parts.append(
-            f"with a lamp of {number(after['power of the lamp'])} % of its power at azimuth "
-            f"{after['azimuth of the lamp']:.0f}°, elevation {after['elevation of the lamp']:.0f}°, of "
-            f"{after['radius of the lamp']:.0f}° in radius"
-        )
-    subject, used = "environment map", 100 * float(change[: 7 if lit else 4].abs().max())
-    sizes = [
-        PhysicalChange(group="lamp", subject="map", measure=name, value=after[name] - before[name], unit=unit)
-        for name, unit in list(LAMP_UNITS.items())[: 7 if lit else 4]
-    ]
-    sizes.append(
-        PhysicalChange(group="lamp", subject="map", measure="share of the natural range", value=used, unit="%")
-    )
+    is_lit = float(change[3]) >= NOTICEABLE
+    shown = list(LAMP_UNITS)[: 7 if is_lit else 4]
+    subject, used = "environment map", 100 * float(change[: len(shown)].abs().max())
     values = [
-        ChangedValue(
-            name=f"{subject}, {size.measure}", unit=size.unit, before=before[size.measure], after=after[size.measure]
-        )
-        for size in sizes[:-1]
+        ChangedValue(name=f"{subject}, {name}", unit=LAMP_UNITS[name], before=before[name], after=after[name])
+        for name in shown
     ]
-    sentence = ", ".join(parts) or "changed by less than 1 % of what a room could have"
+    measures = {name: (after[name] - before[name], LAMP_UNITS[name]) for name in shown}
+    measures["share of the natural range"] = used, "%"
+    sizes = [
+        PhysicalChange(group="lamp", subject="map", measure=name, value=value, unit=unit)
+        for name, (value, unit) in measures.items()
+    ]
     values.append(from_zero(sizes[-1], subject))
+    sentence = _noticeable(change, before, after) or "changed by less than 1 % of what a room could have"
     return Worded(Change(group="lamp", subject=subject, sentence=sentence, values=values, images=images), sizes)
+
+
+def _noticeable(change: Tensor, before: Mapping[str, float], after: Mapping[str, float]) -> str:
+    """What a change [7] of the group `lamp` makes of the map, as far as it is noticeable."""
+    turned, dimmed, tinted, is_lit = (change[:4].abs() >= NOTICEABLE).tolist()
+    brighter = after["brightness"] - before["brightness"]
+    azimuth = (round(after["azimuth of the lamp"]) + 180) % 360 - 180
+    parts = {
+        f"turned by {signed(after['turn'])}°": turned,
+        f"{number(abs(brighter))} % {'brighter' if brighter > 0 else 'dimmer'}": dimmed,
+        f"{after['colour temperature']:,.0f} K in place of {before['colour temperature']:,.0f} K": tinted,
+        f"with a lamp of {number(after['power of the lamp'])} % of its power at azimuth {'−' * (azimuth < 0)}"
+        f"{abs(azimuth)}°, elevation {after['elevation of the lamp']:.0f}°, of "
+        f"{after['radius of the lamp']:.0f}° in radius": is_lit,
+    }
+    return ", ".join(part for part, is_shown in parts.items() if is_shown)
 
 
 def _numbers(values: Tensor) -> dict[str, float]:
