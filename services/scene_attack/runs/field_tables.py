@@ -31,7 +31,9 @@ Angles are in radians and lengths in scene units; +y is up; colours are in [0,1]
 [Your scene](../scene.md), [attacks](../attacks.md), [results](../results.md) and [campaigns](../campaigns.md) explain
 what is listed here."""
 GROUPS = """If a request leaves `method` out, it is the method that this table gives for the renderer. *limit* is the
-`epsilon` of methods that need one, where the request gives none and nothing else limits them."""
+`epsilon` of methods that need one, where the request gives none and nothing else limits them. *natural range* is what
+a thing could have, which a group keeps to by itself; the values of groups without one are free within what can be
+computed."""
 
 
 def page() -> str:
@@ -49,7 +51,8 @@ def page() -> str:
         if path == "goal":
             lines += _attacks()
     lines += ["## Renderers and their parameter groups", "", GROUPS, ""]
-    lines += _table(("renderer", "method", "group", "shape", "unit", "step of fgsm", "limit"), _groups())
+    columns = ("renderer", "method", "group", "shape", "unit", "step of fgsm", "limit", "natural range")
+    lines += _table(columns, _groups())
     lines += ["## Campaign", ""]
     for path, model in _sections(CampaignSpec, "", shown):
         lines += [*([f"## `{path}`", ""] if path else []), *_section(model)]
@@ -122,7 +125,8 @@ def _groups() -> Iterator[list[str]]:
             step = "" if group.suggested_step is None else f"{group.suggested_step:g}"
             limit = "" if group.suggested_limit is None else f"{group.suggested_limit:.2g}"
             shape = "×".join(group.shape)
-            yield [f"`{name}`", f"`{renderer.method}`", f"`{group.name}`", shape, group.unit, step, limit]
+            of = [f"`{name}`", f"`{renderer.method}`", f"`{group.name}`"]
+            yield [*of, shape, group.unit, step, limit, group.natural_range or ""]
 
 
 def _table(columns: Iterable[str], rows: Iterable[list[str]]) -> Iterator[str]:
