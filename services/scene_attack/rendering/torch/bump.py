@@ -69,6 +69,8 @@ class Bump:
     def turned(self, angles: Tensor, coefficients: Tensor) -> Tensor:
         """Returns angles [P, 2], turned by the dents `coefficients` [objects, NODES, NODES, NODES], in the dtype of the
         angles. It is differentiable (once)."""
+        if not coefficients.requires_grad and not coefficients.any():
+            return angles  # the scene itself, which every preview shows
         slopes: Tensor = _Slopes.apply(limited(coefficients), self)  # type: ignore[no-untyped-call]
         own = to_vectors(angles)
         normals = _off_pole(own)

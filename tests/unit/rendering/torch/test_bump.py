@@ -175,6 +175,13 @@ def test_gradient_against_a_central_difference(scene: dict[str, Any]) -> None:
         assert float((gradient * direction).sum()) == pytest.approx(float((up - down) / (2 * h)), rel=2e-5)
 
 
+@pytest.mark.parametrize("with_gradient", [False, True])
+def test_no_dents_are_the_scene_to_the_bit(with_gradient: bool) -> None:
+    renderer = dented(one("primitive/sphere"))
+    none = torch.zeros_like(renderer.initial()["bump"])[None].requires_grad_(with_gradient)
+    assert torch.equal(renderer.render({"bump": none}).detach(), renderer.render({}))
+
+
 def test_slopes_have_no_curl() -> None:
     """∂ᵢgⱼ = ∂ⱼgᵢ, by central differences of slopes at places a little apart: what is raised is a surface."""
     values, rng, step = random_dents(seed=7)[0], np.random.default_rng(0), 1e-5
