@@ -7,6 +7,7 @@ import torch
 
 from scene_attack.errors import InvalidRequest, JobFailure
 from scene_attack.rendering.pyrender.renderer import PyrenderRenderer
+from scene_attack.rendering.torch.declaration import TORCH
 from scene_attack.rendering.torch.renderer import TorchRenderer
 from scene_attack.runs.prepare import plan, prepare
 from scene_attack.runs.preview import planned_cost, preview
@@ -43,10 +44,12 @@ def test_it_makes_no_plan(renderer: type[TorchRenderer | PyrenderRenderer], monk
         planned_cost(request, LIBRARY)
 
 
-def test_the_plan_is_that_of_the_command_and_the_cost_counts_steps() -> None:
-    request = spec({"renderer": "torch", "steps": 7, "queries": 90})
+@pytest.mark.parametrize("groups", [TORCH.default_groups, *((group,) for group in TORCH.natural_groups)])
+def test_the_plan_is_that_of_the_command_and_the_cost_counts_steps(groups: tuple[str, ...]) -> None:
+    request = spec({"renderer": "torch", "groups": groups, "steps": 7, "queries": 90})
     found = planned_cost(request, LIBRARY)
     assert found.plan == plan(request, LIBRARY)
+    assert found.plan.groups == groups
     cost = found.cost
     assert (cost.steps, cost.queries) == (7, 90)
     assert cost.least_seconds == pytest.approx(7 * (cost.image_seconds + cost.query_seconds))

@@ -223,7 +223,8 @@ class TorchRenderer(DeclaredRenderer):
     def plan(self) -> Plan:
         """The plan. The error due to the map's size is measured on first access, as drawing alone does not need it."""
         error = self._made_of[0].once("error of the map's size", self._map_error)
-        return self._plan.model_copy(update={"environment_map_error": error})
+        # It was compiled for what the attacked groups are turned into.
+        return self._plan.model_copy(update={"environment_map_error": error, "groups": self._attacked})
 
     @cached_property
     def _elsewhere(self) -> MovedScenes:
