@@ -53,6 +53,7 @@ DEPENDS: dict[str, tuple[str, ...]] = {
     "docs/accuracy/stability.json": (*BOTH, LITE0, ALEXNET, RESNET),
     "docs/accuracy/work-precision.json": (*BOTH, LITE0),
     "docs/results/combined.json": ("torch", LITE0),
+    "docs/results/physical.json": ("torch", LITE0),
     "docs/results/vqa.json": ("pyrender", IEP),
     "docs/study/differentiable.json": ("torch", ALEXNET, RESNET),
     "docs/study/equal-p.json": (*BOTH, ALEXNET, RESNET),

@@ -1,8 +1,8 @@
 """Draws a figure for the documentation from a result: original, attacked, perturbation, with the network's answers
 and the question, if it was asked one.
 
-scene-attack run examples/torch-combined.json --out out/combined
-.venv/bin/python scripts/figure.py out/combined docs/images/combined.png
+scene-attack run examples/torch-physical.json --out out/physical
+.venv/bin/python scripts/figure.py out/physical docs/images/physical.png
 """
 
 import sys

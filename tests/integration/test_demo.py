@@ -63,12 +63,13 @@ def test_once_runs_every_job_shows_the_table_and_leaves_nothing_running(tmp_path
     assert all("drill" in row for row in rows[:3])
     assert rows[3].split("│")[1].strip() in QUESTION["target"]["ask"]["question"]
     for row, attack in zip(
-        rows, ("image fgsm", "torch combined fgsm", "pyrender", "normals+illumination"), strict=True
+        rows, ("bump+dials+lamp", "torch combined fgsm", "pyrender", "normals+illumination"), strict=True
     ):
         assert attack in row
     for row in rows[:2]:
         assert "fooled" in row
         assert "yes" in row
+    assert re.search(r"^surface of drill: dented by \d", table, re.M)
     assert f"Dashboard: SCENE_ATTACK_DATA={tmp_path / 'demo'} scene-attack serve" in table
     # Every scene was right before, so that every job counts.
     assert re.search(rf"Fooled and verified: \d+ of {len(rows)} attacks on scenes that the network had right", table)

@@ -57,6 +57,7 @@ class Reader:
         (folder / "bin/scene-attack").chmod(0o755)
         for file, content in (
             ("examples/torch-combined.json", small("torch-combined") | {"scene": scene()}),
+            ("examples/torch-physical.json", small("torch-physical") | {"scene": scene()}),
             ("examples/image-fgsm.json", small("image-fgsm")),
             ("examples/campaign-small.json", campaign(QUICK)),
             ("spec.json", QUICK),

@@ -1,5 +1,6 @@
 """Pages that commands write are as the commands write them: from the results that are committed, and from the code."""
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -53,3 +54,15 @@ def test_a_page_is_as_its_command_writes_it(name: str) -> None:
 def test_the_studys_pages_and_curves_are_written_from_their_records(page) -> None:
     for name, text in page.files(FOLDER).items():
         assert (FOLDER / name).read_text("utf-8") == text, "write it again with: python -m benchmarks.study page"
+
+
+def test_the_readmes_caption_says_what_the_result_says() -> None:
+    caption = (DOCS.parent / "README.md").read_text("utf-8").split("**It is for**")[0]
+    result = json.loads((DOCS / "results/physical.json").read_text("utf-8"))
+    said = " ".join(thing["sentence"] for thing in result["change"]["things"])
+    for words in ("dented by 0.38 mm in the root mean square", "3.4 % dimmer"):
+        assert words in " ".join(caption.split())
+        assert words in said
+    assert "26 % stronger in its gloss" in said
+    assert "gloss is 26 % stronger" in " ".join(caption.split())
+    assert result["attacked"]["label"] == "spotlight"

@@ -51,7 +51,15 @@ def run(
     from scene_attack.cli.progress import JobLine
     from scene_attack.cli.result_folder import check_free, prepare_folder
     from scene_attack.cli.specs import local_library, read_job
-    from scene_attack.cli.tables import COLUMNS, cells, goal_line, print_analyses, print_subsets, print_tasks
+    from scene_attack.cli.tables import (
+        COLUMNS,
+        cells,
+        goal_line,
+        print_analyses,
+        print_changes,
+        print_subsets,
+        print_tasks,
+    )
     from scene_attack.runs.environment import options_to_run
     from scene_attack.runs.spec import attack_name, job_name
 
@@ -79,6 +87,7 @@ def run(
     say(FittedTable(COLUMNS, [cells(name, attack, shown)]))
     if line_of_goal := goal_line(result.spec):
         say(line_of_goal)
+    print_changes(result.change.things)
     print_tasks(result.tasks, out)
     print_subsets(result.subsets, result.attribution)
     print_analyses(result.analyses)
