@@ -131,6 +131,7 @@ def write_bundle(files: Files, library: Library, write: Write, job: str | None =
     of_groups = {
         "normals": ("normals_before.npy", "normals_after.npy"),
         "bump": ("normals_before.npy", "normals_after.npy"),
+        "paint": ("paint.png",),
         "illumination": ("environment_before.exr", "environment_after.exr"),
         "illumination_rgb": ("environment_before.exr", "environment_after.exr"),
         "lamp": ("environment_before.exr", "environment_after.exr"),

@@ -60,6 +60,7 @@ CONTENTS = {
     "subset-*.png": "the image with only some of the changed groups: the row of that number, from 0, of `subsets` in "
     "`result.json`",
     "dents.png": "the heights of the dents, from pressed in (blue) to raised (red)",
+    "paint.png": "the base colours of the painted surface, without light",
     "normals-tilt.png": "the angle by which each normal turned, from 0 (violet) to the largest (yellow)",
     "map-before.png": "the intensities of the environment map as it was",
     "map-after.png": "the same under attack, in the same scale",

@@ -15,14 +15,14 @@ PLACES = (np.arange(NODES) - 1) * SPACING - FIT_RADIUS
 
 def height(points: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
     """Heights [P], scene units, of an object at scale 1 at points [P, 3] in its frame."""
-    x, y, z = (_at(SPLINE, points[:, k]) for k in range(3))
+    x, y, z = (at_places(SPLINE, points[:, k]) for k in range(3))
     return UNIT * _sums(x, y, z, coefficients)
 
 
 def gradient(points: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
     """Its gradients [P, 3]."""
-    values = [_at(SPLINE, points[:, k]) for k in range(3)]
-    slopes = [_at(SLOPE, points[:, k]) / SPACING for k in range(3)]
+    values = [at_places(SPLINE, points[:, k]) for k in range(3)]
+    slopes = [at_places(SLOPE, points[:, k]) / SPACING for k in range(3)]
     along = [[slopes[k] if k == axis else values[k] for k in range(3)] for axis in range(3)]
     return UNIT * np.stack([_sums(*of, coefficients) for of in along], axis=1)
 
@@ -37,7 +37,8 @@ def _sums(x: np.ndarray, y: np.ndarray, z: np.ndarray, coefficients: np.ndarray)
     return sums
 
 
-def _at(spline: BSpline, places: np.ndarray) -> np.ndarray:
+def at_places(spline: BSpline, places: np.ndarray) -> np.ndarray:
+    """Values [P, NODES] at places [P] along an axis of the splines around each node."""
     return np.nan_to_num(spline((places[:, None] - PLACES) / SPACING))
 
 

@@ -10,7 +10,7 @@ from scene_attack.rendering.torch.dsbrdf import COSINE_FLOOR, ILLUMINATION_MEAN,
 from scene_attack.scenes.description import Camera, Scene, SceneObject
 from scene_attack.scenes.mesh import FIT_RADIUS
 from scene_attack.scenes.resolve import ResolvedScene
-from tests.unit.rendering import dents, dials, lamps
+from tests.unit.rendering import dents, dials, lamps, paints
 from tests.unit.rendering.shapes import mesh, placed
 
 UNCOLORED = {"plastic": (1, 2), "glossy-paint": (1, 2), "rubber": (1, 2)}
@@ -111,18 +111,24 @@ def reference_brdf(coefficients: np.ndarray, theta_h: float, theta_d: float) -> 
     return rho
 
 
-def dented(
-    scene: ResolvedScene, gbuffer: GBuffer, at: tuple[int, int], normal: np.ndarray, coefficients: np.ndarray
-) -> np.ndarray:
-    """The unit normal of a pixel, turned by the dents of its object."""
+def place_of(scene: ResolvedScene, gbuffer: GBuffer, at: tuple[int, int]) -> np.ndarray:
+    """The point [3] that a pixel shows, in its object's frame."""
     right, up, back = scene.view[:3, :3].T
     height, width = gbuffer.coverage.shape
     across, down = (2 * at[1] + 1) / width - 1, 1 - (2 * at[0] + 1) / height
     ray = across / scene.projection[0, 0] * right + down / scene.projection[1, 1] * up - back
-    owner, model = int(gbuffer.object_index[at]), np.asarray(scene.models[int(gbuffer.object_index[at])])
+    model = np.asarray(scene.models[int(gbuffer.object_index[at])])
     place = np.linalg.solve(model, np.append(scene.view[:3, 3] + float(gbuffer.depth[at]) * ray, 1.0))[:3]
+    return place.clip(-FIT_RADIUS, FIT_RADIUS)  # this G-buffer's sphere is wider than an object
+
+
+def dented(
+    scene: ResolvedScene, gbuffer: GBuffer, at: tuple[int, int], normal: np.ndarray, coefficients: np.ndarray
+) -> np.ndarray:
+    """The unit normal of a pixel, turned by the dents of its object."""
+    owner, place = int(gbuffer.object_index[at]), place_of(scene, gbuffer, at)
+    model = np.asarray(scene.models[owner])
     turn = model[:3, :3] / np.linalg.norm(model[:3, 0])
-    place = place.clip(-FIT_RADIUS, FIT_RADIUS)  # this G-buffer's sphere is wider than an object
     slope = turn @ dents.gradient(place[None], coefficients[owner])[0]
     raised = normal - slope + (slope @ normal) * normal
     return raised / np.linalg.norm(raised)
@@ -158,6 +164,9 @@ def reference_image(scene: ResolvedScene, gbuffer: GBuffer, parameters: dict[str
             if "bump" in parameters:
                 normal = dented(scene, gbuffer, (y, x), normal, parameters["bump"].double().numpy())
             owner, base = int(gbuffer.object_index[y, x]), gbuffer.base_color[y, x].double().numpy()
+            if "paint" in parameters:
+                point = place_of(scene, gbuffer, (y, x))
+                base = paints.painted(point[None], base[None], parameters["paint"][owner].double().numpy())[0]
             gloss = UNCOLORED.get(scene.description.objects[owner].material, ())
             total = np.zeros(3)
             for i, j, direction, solid in texels(*environment.shape[:2]):

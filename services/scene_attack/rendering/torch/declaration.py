@@ -80,6 +80,18 @@ TORCH = Declaration(
             by_default=False,
         ),
         Group(
+            name="paint",
+            shape=("objects", "23", "23", "23", "3"),
+            unit="share of the surface, by channel, that the lightest (+) or darkest (−) printable colour covers: "
+            "coefficients of cubic B-splines on a lattice in the object's frame",
+            words="paint",
+            suggested_step=0.025,
+            suggested_limit=1.0,
+            natural_range="what can be printed, reflectances of 0.03 to 0.87 by channel, in waves of at least a tenth "
+            "of the size",
+            by_default=False,
+        ),
+        Group(
             name="lamp",
             shape=("7",),
             unit="shares of the natural range either way: the map's turn, brightness and colour temperature, and the "

@@ -269,6 +269,7 @@ def gradient_errors(
         sample = subset(spread(sample, "normals" in groups, random), max_pixels)
     weights = torch.randn(len(sample.angles), 3, generator=random, dtype=torch.float64).to(sample.angles.device)
     values = {"normals": sample.angles, "illumination": illumination, "material": sample.material}
+    values["paint"] = sample.base_color
     if "illumination_rgb" in groups:
         values["illumination_rgb"] = illumination.new_zeros(3, len(illumination))
     gradients = []
@@ -281,7 +282,7 @@ def gradient_errors(
         if "illumination_rgb" in leaves:
             light = light + leaves["illumination_rgb"]
         radiance = shader(leaves["normals"], light, leaves["material"])
-        displayed = to_display(radiance * sample.base_color.to(compared.dtype))
+        displayed = to_display(radiance * leaves["paint"])
         total = (displayed * weights.to(compared.dtype)).sum()
         if not total.requires_grad:  # nothing is attacked, or no light reaches the surface whatever is changed
             return []
@@ -510,7 +511,8 @@ def compile_plan(
                 stages.append(radiance_stage(surface, recipe, len(surface.angles), "exact, as asked", 0.0))
         else:
             own = tolerance * surface.share
-            moving = [group for group in groups if not (group == "material" and surface.fixed_material)]
+            fixed = {"material": surface.fixed_material, "paint": surface.fixed_color}
+            moving = [group for group in groups if not fixed.get(group)]
             alike = alike_from_all_sides(surface, sky, illumination, moving, LAMBERT_SHARE * own)
             needed, left_out = _needed(surface, sky, illumination, moving, own, alike)
             items += left_out

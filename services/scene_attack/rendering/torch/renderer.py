@@ -27,7 +27,7 @@ from scene_attack.rendering.opengl.gbuffer import GBuffer, rasterise
 from scene_attack.rendering.plan import DEFAULT_TOLERANCE, Item, Plan, Tolerance
 from scene_attack.rendering.pose import MovingCamera, seen_from
 from scene_attack.rendering.protocol import Parameters, Renderer
-from scene_attack.rendering.torch import bump, dials, dsbrdf
+from scene_attack.rendering.torch import bump, dials, dsbrdf, paint
 from scene_attack.rendering.torch.bump import Bump
 from scene_attack.rendering.torch.declaration import TORCH
 from scene_attack.rendering.torch.dsbrdf import MATERIAL_UNIT, layers, preset
@@ -35,6 +35,7 @@ from scene_attack.rendering.torch.lamp import LOWEST, Lamp
 from scene_attack.rendering.torch.lattice import NODES
 from scene_attack.rendering.torch.light import LIGHT_GROUPS, Illumination, directions, illumination, solid_angles
 from scene_attack.rendering.torch.moved import MovedScenes, places
+from scene_attack.rendering.torch.paint import Paint
 from scene_attack.rendering.torch.planner import compile_plan, looked_at, map_error
 from scene_attack.rendering.torch.shader import Recipe, Shader, Sky, Surface
 from scene_attack.rendering.torch.shading import Directions
@@ -83,6 +84,8 @@ class TorchRenderer(DeclaredRenderer):
     The sum is held at ≥ 0. Only requests that name this group attack it: the paper's light has one channel.
     dials [objects, 5]: roughness, gloss and tint of each object's material, in natural ranges
     (scene_attack.rendering.torch.dials), which turn it; 0 at the start.
+    paint [objects, NODES, NODES, NODES, 3]: shares of each object's surface, by channel, that the lightest or darkest
+    printable colour covers (scene_attack.rendering.torch.paint), on a lattice in its frame; 0 at the start.
     lamp [7]: turn, brightness and colour temperature of the map, and a lamp that is added to it, as shares of what a
     room could have (scene_attack.rendering.torch.lamp); 0 at the start.
     material [objects, 3, 3, 2, 6]: Bernstein coefficients of log κ and log γ by object, colour channel and lobe
@@ -134,6 +137,7 @@ class TorchRenderer(DeclaredRenderer):
             "material": torch.stack(materials).to(self._device) * MATERIAL_UNIT,
             "bump": torch.zeros(n_objects, NODES, NODES, NODES, device=self._device),
             "dials": torch.zeros(n_objects, len(dials.NAMES), device=self._device),
+            "paint": torch.zeros(n_objects, NODES, NODES, NODES, 3, device=self._device),
             "lamp": torch.zeros(7, device=self._device),
             **{group: value.to(self._device) for group, value in places(scene).items()},
         }
@@ -181,6 +185,7 @@ class TorchRenderer(DeclaredRenderer):
                 layer.share,
                 hidden,
                 fixed_material=layer.owner >= n_objects,
+                fixed_color=layer.owner >= n_objects or not layer.colored,
             )
             for name, own_layers, own, color, material, own_viewers, hidden in zip(
                 parts.names,
@@ -237,6 +242,16 @@ class TorchRenderer(DeclaredRenderer):
         """The places of the surfaces among the dents of their objects."""
         return Bump.of(self._made_of[0], self._shaded[0], self._to_camera)
 
+    @cached_property
+    def paint(self) -> Paint:
+        """The places of the surfaces among the paint of their objects."""
+        return Paint.of(self._made_of[0], self._shaded[0], self._device)
+
+    @cached_property
+    def _without_color(self) -> Canvas:
+        """The canvas for radiance that has the surfaces' colours already."""
+        return replace(self._canvas, base_color=torch.ones_like(self._canvas.base_color))
+
     def turned(self, settings: Tensor) -> Tensor:
         """Returns the materials [objects, 3, 3, 2, 6] of the scene's objects, turned by dials [objects, 5]."""
         own = self._initial["material"]
@@ -255,8 +270,8 @@ class TorchRenderer(DeclaredRenderer):
         """Returns the lowest and highest value of each group, {group: (low, high)}, broadcastable to it.
 
         Light is not negative; κ and γ stay in the ranges of `dsbrdf`; any angle is a normal, and angles are bounded so
-        that float32 still resolves them (see `normals`). Dents, dials and lamps are bounded by what a thing and a room
-        could have (see `bump`, `dials` and `lamp`).
+        that float32 still resolves them (see `normals`). Dents, dials, paint and lamps are bounded by what a thing
+        and a room could have (see `bump`, `dials`, `paint` and `lamp`).
         """
         furthest = torch.tensor(MAX_ANGLE, dtype=self._dtype)
         lowest, highest = MovingCamera(self._made_of[0]).bounds
@@ -269,6 +284,7 @@ class TorchRenderer(DeclaredRenderer):
             "material": (ranges[:, :1], ranges[:, 1:]),
             "bump": (-deepest, deepest),
             "dials": (self._dials[0].cpu().to(self._dtype), self._dials[1].cpu().to(self._dtype)),
+            "paint": (-torch.ones((), dtype=self._dtype), torch.ones((), dtype=self._dtype)),
             "lamp": (torch.tensor(LOWEST, dtype=self._dtype), torch.ones(7, dtype=self._dtype)),
             "translation": (-infinity, infinity),
             "rotation": (-infinity, infinity),
@@ -335,25 +351,38 @@ class TorchRenderer(DeclaredRenderer):
             intensity = (intensity + rgb.reshape(-1, 3).T).clamp_min(0.0)  # [3, D]
         if "dials" in parameters:
             values["material"] = dials.turned(values["material"], values["dials"], self._lobes)
+        colors, canvas, painted = self._colors, self._canvas, "paint" in parameters
+        if painted:
+            colors = torch.split(self.paint.colors(torch.cat(colors), values["paint"]), self._counts)
+            canvas = self._without_color
         shaders, materials = iter(self.shaders), [*values["material"], *self._fixed]
         shaded = []
         for parts, own, color, owner in zip(
-            self._layers, torch.split(angles, self._counts), self._colors, self._owners, strict=True
+            self._layers, torch.split(angles, self._counts), colors, self._owners, strict=True
         ):
-            material = materials[owner]
-            radiances = [next(shaders)(own, intensity, layer.material(material)).to(self._dtype) for layer in parts]
-            shaded.append(radiances[0] if len(parts) == 1 else color * radiances[0] + radiances[1])
-        return self._canvas.image(torch.cat(shaded) if len(shaded) > 1 else shaded[0])
+            radiances = [
+                next(shaders)(
+                    own, intensity, layer.material(materials[owner]), layer.base_color(color) if painted else None
+                ).to(self._dtype)
+                for layer in parts
+            ]
+            body = color * radiances[0] if painted or len(parts) > 1 else radiances[0]
+            shaded.append(body if len(parts) == 1 else body + radiances[1])
+        return canvas.image(torch.cat(shaded) if len(shaded) > 1 else shaded[0])
 
     def _hardest(self, surfaces: Sequence[Surface], materials: Tensor) -> Iterator[Surface]:
-        """Yields the surfaces as the plan is made for them: at the end of the attacked groups' natural ranges where
-        errors are largest. `materials` [objects, 3, 3, 2, 6], in which a floor may be last, are the scene's own."""
+        """Yields the surfaces as the plan is made for them, with the lightest colours and the narrowest highlights that
+        the attacked groups may give. `materials` [objects, 3, 3, 2, 6], in which a floor may be last, are the scene's
+        own."""
         if "dials" in self._attacked:
             turned = dials.turned(materials[: len(self._lobes)], dials.sharpest(self._dials), self._lobes)
             materials = torch.cat([turned, materials[len(self._lobes) :]])
         layers_of_surfaces = (layer for of_region in self._layers for layer in of_region)
         for surface, layer in zip(surfaces, layers_of_surfaces, strict=True):
-            yield replace(surface, material=layer.material(materials[layer.owner]))
+            color = surface.base_color
+            if "paint" in self._attacked and not surface.fixed_color:
+                color = color.clamp_min(paint.PRINTABLE[1])
+            yield replace(surface, material=layer.material(materials[layer.owner]), base_color=color)
 
     def _map_error(self) -> float | None:
         """Returns the error of a displayed value due to the environment map's size; None for the largest size."""

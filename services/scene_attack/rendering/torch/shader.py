@@ -97,7 +97,8 @@ class Surface:
     `viewers` [P, 3] are unit vectors to the camera where each pixel has its own, None for a distant viewer. `layer`
     says on plans which lobes these are, "" for all, and `share` is the part of the tolerance that its error may take.
     `visibility` uint8 [D of the whole map, P] is each texel's share that a pixel sees, in units of 1/255; None where
-    nothing is hidden. A fixed material is not among the values of the group `material`.
+    nothing is hidden. A fixed material is not among the values of the group `material`, nor is a fixed colour among
+    those that `paint` changes.
     """
 
     name: str
@@ -109,6 +110,7 @@ class Surface:
     share: float = 1.0
     visibility: Tensor | None = None
     fixed_material: bool = False
+    fixed_color: bool = False
 
     def with_layer(self, what: str) -> str:
         """Returns the words of a plan for `what` of this surface: with those of its layer, if it is one of several."""
@@ -150,9 +152,12 @@ class Shader:
             self._table = torch.zeros(2 * recipe.rows**2, 3, dtype=recipe.dtype, device=angles.device)
         self.summed_after_all = 0
 
-    def __call__(self, angles: Tensor, illumination: Tensor, material: Tensor) -> Tensor:
+    def __call__(
+        self, angles: Tensor, illumination: Tensor, material: Tensor, base_color: Tensor | None = None
+    ) -> Tensor:
         """Radiance [P, 3] for angles [P, 2], all intensities, [D of the whole map] or [3, D] where each channel has its
-        own, and one material [3, lobes, 2, 6]."""
+        own, and one material [3, lobes, 2, 6]. `base_color` [P, 3] is what a table's check multiplies it by; None: the
+        surface's own."""
         angles, recipe = angles.to(self.recipe.dtype), self.recipe
         if recipe.rows is None:
             return self._whole(to_vectors(angles), illumination, material)
@@ -167,13 +172,14 @@ class Shader:
         if recipe.guard is None:
             return shaded
         with torch.no_grad():
+            color = self._color if base_color is None else base_color.to(recipe.dtype)
             if self._fixed_check is None:
-                at = chosen_pixels(CHECKED, table, filled, recipe.rows, angles, shaded, self._color)
+                at = chosen_pixels(CHECKED, table, filled, recipe.rows, angles, shaded, color)
                 truth = self._whole(to_vectors(angles[at]), illumination, material)
             else:
                 at = self._fixed_check
                 truth = self._checked_sum(to_vectors(angles[at]), illumination, material)
-            held = displayed_error(shaded[at], truth, self._color[at]) <= recipe.guard
+            held = displayed_error(shaded[at], truth, color[at]) <= recipe.guard
         if held:
             return shaded
         self.summed_after_all += 1

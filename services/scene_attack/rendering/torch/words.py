@@ -9,6 +9,7 @@ from math import degrees
 import torch
 from torch import Tensor
 
+from scene_attack.rendering.color import to_bytes, to_display
 from scene_attack.rendering.physical_change import (
     Change,
     ChangedValue,
@@ -35,6 +36,7 @@ from scene_attack.rendering.torch.dsbrdf import (
 )
 from scene_attack.rendering.torch.lamp import physical
 from scene_attack.rendering.torch.light import LIGHT_GROUPS
+from scene_attack.rendering.torch.paint import cielab
 from scene_attack.rendering.torch.renderer import TorchRenderer
 from scene_attack.rendering.torch.table import to_vectors
 from scene_attack.scenes.description import object_names
@@ -77,6 +79,8 @@ def worded(scene: ResolvedScene, renderer: Renderer, perturbation: Mapping[str, 
             result += poses(scene, group, initial[group].double().numpy(), change.double().numpy())
         elif group == "bump":
             result += dents(scene, renderer, change)
+        elif group == "paint":
+            result += painted(scene, renderer, change)
         elif group == "dials":
             result += dials_turned(scene, renderer, change)
         elif group == "material":
@@ -138,6 +142,44 @@ def dents(scene: ResolvedScene, renderer: Renderer, change: Tensor) -> Iterator[
             images=[ChangeImage(file="dents.png", words=f"heights: {number(most)} mm is red, {number(-most)} mm blue")],
         )
         yield Worded(dented, [typical, largest, steepest, used])
+
+
+def painted(scene: ResolvedScene, renderer: Renderer, change: Tensor) -> Iterator[Worded]:
+    """Colours of the paint `change` (scene_attack.rendering.torch.paint), by object, where it is seen."""
+    assert isinstance(renderer, TorchRenderer)
+    shown, before, after = renderer.paint.shown, *colors_of_paint(renderer, change)
+    differences = (cielab(after) - cielab(before)).norm(dim=-1)
+    for k, name in enumerate(object_names(scene.description, scene.titles)):
+        seen, subject = shown.object_index == k, f"surface of {name}"
+        if not bool(seen.any()) or not bool(change[k].any()):
+            continue
+        typical, largest = _sizes("paint", subject, differences[seen], "difference of colour", "ΔE")
+        reflected = _sizes(
+            "paint", subject, 100 * (after - before)[seen].flatten(), "change of a channel", "% of white"
+        )
+        used = PhysicalChange(
+            group="paint",
+            subject=subject,
+            measure="share of the natural range",
+            value=100 * float(change[k].abs().max()),
+            unit="%",
+        )
+        sizes = [typical, largest, *reflected, used]
+        of_object = Change(
+            group="paint",
+            subject=subject,
+            sentence=f"painted in colours that differ by ΔE {number(typical.value)} in the root mean square, "
+            f"{number(largest.value)} at most (CIE 1976), and in a channel by {signed(reflected[1].value)} % of white",
+            values=[from_zero(size, subject) for size in sizes],
+            images=[ChangeImage(file="paint.png", words="base colours of the painted surface, without light")],
+        )
+        yield Worded(of_object, sizes)
+
+
+def colors_of_paint(renderer: TorchRenderer, change: Tensor) -> tuple[Tensor, Tensor]:
+    """Linear base colours [P, 3] of the surfaces before and after the paint `change`, float64."""
+    before = renderer.paint.shown.base_color.double()
+    return before, renderer.paint.colors(before, change.to(before))
 
 
 def dials_turned(scene: ResolvedScene, renderer: Renderer, change: Tensor) -> Iterator[Worded]:
@@ -304,6 +346,9 @@ def drawn(renderer: Renderer, perturbation: Mapping[str, Tensor]) -> dict[str, T
     if "bump" in perturbation:
         assert isinstance(renderer, TorchRenderer)
         images["dents.png"] = height_image(renderer, perturbation["bump"].double())
+    if "paint" in perturbation:
+        assert isinstance(renderer, TorchRenderer)
+        images["paint.png"] = paint_image(renderer, perturbation["paint"])
     if "normals" in perturbation:
         images["normals-tilt.png"] = tilt_image(tilts(initial["normals"], perturbation["normals"]))
     if any(group in perturbation for group in MAP_GROUPS):
@@ -322,6 +367,16 @@ def height_image(renderer: TorchRenderer, change: Tensor) -> Tensor:
     heights[places.shown.pixels[first].cpu()] = places.heights(change)[first].cpu()
     heights = heights.view(height, width)
     return torch.where(heights.isnan()[..., None], GROUND, signed_colours(heights.nan_to_num())).to(torch.uint8)
+
+
+def paint_image(renderer: TorchRenderer, change: Tensor) -> Tensor:
+    """An image of the base colours under the paint `change`, as displayed values; grey where no surface is."""
+    shown = renderer.paint.shown
+    height, width = renderer.size
+    first = shown.rank == 0
+    image = torch.full((height * width, 3), GROUND, dtype=torch.uint8)
+    image[shown.pixels[first].cpu()] = to_bytes(to_display(colors_of_paint(renderer, change)[1][first].cpu()))
+    return image.view(height, width, 3)
 
 
 def images_of_map(before: Tensor, after: Tensor) -> list[ChangeImage]:

@@ -36,7 +36,7 @@ def moved(renderer: TorchRenderer, groups: tuple[str, ...], far: float = 1.0, se
     random = torch.Generator().manual_seed(seed)
     light = 0.1 * ILLUMINATION_MEAN
     size = {"normals": 0.1, "illumination": light, "illumination_rgb": light, "material": 1.0, "bump": 3.0}
-    size |= {"dials": 1.0, "lamp": 0.5}
+    size |= {"dials": 1.0, "paint": 1.0, "lamp": 0.5}
     start = renderer.initial()
     parameters = {}
     for group in groups:

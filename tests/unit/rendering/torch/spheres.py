@@ -7,7 +7,7 @@ from scene_attack.rendering.torch.dsbrdf import ILLUMINATION_MEAN, MATERIAL_UNIT
 from scene_attack.rendering.torch.renderer import TorchRenderer
 from tests.unit.rendering.shading import sphere_gbuffer, sphere_scene
 
-GROUPS = ("normals", "illumination", "illumination_rgb", "material", "bump", "dials", "lamp")
+GROUPS = ("normals", "illumination", "illumination_rgb", "material", "bump", "dials", "paint", "lamp")
 TWO = ("plastic", "brushed-metal")
 TIGHT = 1e-4
 """Pixel by pixel in float32: no table for so few pixels holds this."""
@@ -24,7 +24,7 @@ def moved(renderer: TorchRenderer, seed: int = 0, batch: int = 1) -> Parameters:
     rng = torch.Generator().manual_seed(seed)
     light = 0.02 * ILLUMINATION_MEAN
     sizes = {"normals": 0.05, "illumination": light, "illumination_rgb": light, "material": 0.03 * MATERIAL_UNIT}
-    sizes |= {"bump": 2.0, "dials": 0.3, "lamp": 0.1}
+    sizes |= {"bump": 2.0, "dials": 0.3, "paint": 0.2, "lamp": 0.1}
     initial = renderer.initial()
     return {
         group: initial[group]

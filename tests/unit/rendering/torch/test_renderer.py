@@ -164,7 +164,7 @@ def test_gradcheck(group: str) -> None:
     fixed = {g: v for g, v in start.items() if g != group}
     values = start[group].requires_grad_()
     assert torch.autograd.gradcheck(
-        lambda v: renderer.render(fixed | {group: v}), values, fast_mode=group in ("material", "bump")
+        lambda v: renderer.render(fixed | {group: v}), values, fast_mode=values.numel() > 100
     )
 
 

@@ -61,6 +61,7 @@ def test_description_of_the_groups() -> None:
         "material": (2, 3, 3, 2, 6),
         "bump": (2, NODES, NODES, NODES),
         "dials": (2, 5),
+        "paint": (2, NODES, NODES, NODES, 3),
         "lamp": (7,),
         "translation": (2, 3),
         "rotation": (2, 3),
