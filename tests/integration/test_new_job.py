@@ -4,7 +4,7 @@ import base64
 import json
 from collections.abc import Iterator
 from io import BytesIO
-from math import ceil
+from math import ceil, degrees, pi
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,8 @@ import pytest
 from PIL import Image
 from playwright.sync_api import Browser, ConsoleMessage, Page, Route, expect
 
+from scene_attack.rendering.declaration import RENDERERS
+from scene_attack.scenes.primitives import PRIMITIVES
 from tests.integration.browser import fresh_page
 from tests.integration.conftest import Stack, until
 from tests.integration.specs import QUICK
@@ -56,7 +58,8 @@ def test_a_job_is_made_with_the_form_beside_its_preview(stack: Stack, page: Page
     expect(page.locator("#answers tr")).to_have_count(5)
     before = page.locator("#picture").evaluate(LIGHT)
 
-    page.locator("#f-scene\\.objects\\.0\\.mesh").fill("primitive/torus")
+    page.locator("[id='f-scene.objects.0.mesh']").click()
+    page.get_by_role("radio", name="Torus").check(force=True)  # its label's picture is what one sees
     assert spec(page)["scene"]["objects"][0]["mesh"] == "primitive/torus"
     wait_for_answer(page)
     assert page.locator("#picture").evaluate(LIGHT) != before
@@ -76,8 +79,9 @@ def test_a_job_is_made_with_the_form_beside_its_preview(stack: Stack, page: Page
     expect(page.locator("#f-seed")).to_have_value("11")
     page.locator("#spec").fill(page.locator("#spec").input_value().replace("11", str(2**60 + 1)))
     expect(page.locator("#f-seed")).to_have_value(str(2**60 + 1))
-    page.locator("#f-scene\\.objects\\.0\\.mesh").fill("primitive/torus")
+    page.locator("#f-attack\\.steps").fill("3")
     assert spec(page)["seed"] == 2**60 + 1  # a number of JavaScript would be rounded
+    page.locator("#f-attack\\.steps").fill("2")
     page.locator("#f-seed").fill("11")
     page.locator("#f-attack\\.renderer").select_option("pyrender")
     expect(page.locator("#f-attack\\.groups-color")).to_be_visible()
@@ -97,6 +101,123 @@ def test_a_job_is_made_with_the_form_beside_its_preview(stack: Stack, page: Page
     page.goto(f"{stack.client.base_url}/new?from={job['id']}")
     expect(page.locator("#f-attack\\.steps")).to_have_value("2")
     assert spec(page) == job["spec"]
+
+
+def shown(page: Page, field: str) -> float:
+    return float(page.locator(f"[id='f-{field}']").input_value())
+
+
+@pytest.mark.parametrize("width", [1440, 390])
+def test_the_mouse_turns_the_camera_on_the_preview(stack: Stack, page: Page, width: int) -> None:
+    page.set_viewport_size({"width": width, "height": 900})
+    page.goto(f"{stack.client.base_url}/new?mesh=primitive/torus")
+    wait_for_answer(page)
+    before = page.locator("#picture").evaluate(LIGHT)
+    assert shown(page, "scene.camera.elevation") == pytest.approx(20)  # the default, in degrees
+    picture = page.locator("#picture")
+    picture.scroll_into_view_if_needed()
+    box = picture.bounding_box()
+    assert box is not None
+    page.mouse.move(box["x"] + 100, box["y"] + 100)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 100 - box["height"] / 4, box["y"] + 100 + box["height"] / 10)
+    page.mouse.up()
+    camera = spec(page)["scene"]["camera"]
+    assert camera["azimuth"] == pytest.approx(0.61 + pi / 4, abs=0.01)  # the height of the picture is half a turn
+    assert camera["elevation"] == pytest.approx(pi / 9 + pi / 10, abs=0.01)
+    assert shown(page, "scene.camera.azimuth") == pytest.approx(degrees(camera["azimuth"]), abs=0.01)
+    another_picture(page, before)
+    page.mouse.wheel(0, -200)
+    expect(page.locator("[id='f-scene.camera.distance']")).not_to_have_value("1.8")
+    assert spec(page)["scene"]["camera"]["distance"] < 1.8
+
+
+def test_a_job_is_made_with_the_keyboard_alone(stack: Stack, page: Page) -> None:
+    page.set_viewport_size({"width": 390, "height": 844})
+    page.goto(f"{stack.client.base_url}/new?mesh=primitive/sphere")
+    wait_for_answer(page)
+    page.locator("[id='f-scene.objects.0.mesh']").focus()
+    page.keyboard.press("Enter")
+    page.keyboard.press("Tab")
+    page.keyboard.type("primitive")
+    expect(page.get_by_role("radio")).to_have_count(len(PRIMITIVES))
+    page.keyboard.press("Enter")  # which submits nothing
+    page.keyboard.press("Tab")  # to the one that is chosen
+    expect(page.get_by_role("radio", name="Sphere")).to_be_focused()
+    page.keyboard.press("ArrowRight")
+    page.keyboard.press("Enter")
+    expect(page.locator("[id='f-scene.objects.0.mesh']")).to_be_focused()
+    assert spec(page)["scene"]["objects"][0]["mesh"] == "primitive/torus"
+
+    page.locator("#picture").focus()
+    page.keyboard.press("ArrowUp")
+    page.keyboard.press("+")
+    assert shown(page, "scene.camera.elevation") == pytest.approx(25, abs=0.1)
+    assert shown(page, "scene.camera.distance") == pytest.approx(1.8 / 1.1, abs=0.01)
+    page.locator("[id='f-scene.camera.azimuth-slider']").focus()
+    page.keyboard.press("End")
+    assert shown(page, "scene.camera.azimuth") == 180
+    page.locator("[id='f-scene.camera.azimuth']").fill("-90")
+    assert spec(page)["scene"]["camera"]["azimuth"] == pytest.approx(-pi / 2, abs=1e-5)
+    expect(page.locator("[id='f-scene.camera.azimuth-slider']")).to_have_value("-90")
+    page.locator("#f-attack\\.steps").fill("1")
+    page.locator("#submit").focus()
+    page.keyboard.press("Enter")
+    page.wait_for_url("**/jobs/*")
+    job = stack.client.get(f"/v1/jobs/{page.url.rsplit('/', 1)[1]}").json()
+    attack = job["spec"]["attack"]
+    assert (attack["groups"], attack["method"], attack["truncation"]) == (["bump"], "fgsm", None)
+    assert job["spec"]["scene"]["camera"]["azimuth"] == pytest.approx(-pi / 2, abs=1e-5)
+
+
+def test_what_fits_is_offered_and_natural_changes_come_first(stack: Stack, page: Page) -> None:
+    page.goto(f"{stack.client.base_url}/new?mesh=primitive/sphere")
+    wait_for_answer(page)
+    groups = page.locator("[id='f-attack.groups']")
+    for group in RENDERERS["torch"].groups:
+        said = group.natural_range or group.explanation
+        title = "Changes a thing could have" if group.natural_range else "Free values, without a natural range"
+        expect(groups.get_by_role("group", name=title)).to_contain_text(said)
+    expect(groups.locator("legend").nth(1)).to_have_text("Changes a thing could have")
+    assert groups.locator("input").evaluate_all("all => all.filter(one => one.checked).map(one => one.value)") == [
+        "bump"
+    ]
+
+    method = page.locator("[id='f-attack.method']")
+    expect(method.locator("[value=natural-gradient]")).to_have_count(0)  # it is for renderers without gradients
+    method.select_option("square")  # it needs values at each pixel
+    expect(groups.locator("input")).to_have_count(1)
+    assert spec(page)["attack"]["groups"] == ["normals"]
+    page.locator("[id='f-attack.renderer']").select_option("pyrender")
+    expect(method).to_have_value("zoo")
+    page.locator("[id='f-attack.expectation'] > summary").click()
+    page.locator("[id='f-attack.expectation-has']").check()
+    page.locator("[id='f-attack.expectation.distance-slider']").fill("10")
+    assert spec(page)["attack"]["expectation"] == {"distance": 0.1}  # of it; the slider has per cent
+    wait_for_answer(page)
+
+
+def test_of_many_changes_only_the_newest_is_drawn(stack: Stack, page: Page) -> None:
+    page.goto(f"{stack.client.base_url}/new?mesh=primitive/sphere")
+    wait_for_answer(page)
+    held: list[Route] = []
+    page.route("**/v1/preview", lambda route: held.append(route))
+    azimuth = page.locator("[id='f-scene.camera.azimuth']")
+
+    def sent(number: int) -> bool:
+        return page.evaluate("true") and len(held) == number  # the browser is asked, so that its events are handled
+
+    azimuth.fill("10")
+    until(lambda: sent(1), "a first request")
+    azimuth.fill("20")
+    azimuth.fill("30")
+    held[0].continue_()
+    until(lambda: sent(2), "a second request")
+    newest: Any = held[1].request.post_data_json
+    assert newest["scene"]["camera"]["azimuth"] == pytest.approx(pi / 6, abs=1e-5)
+    held[1].continue_()
+    wait_for_answer(page)
+    assert len(held) == 2
 
 
 def noise(height: int, width: int) -> bytes:

@@ -1,5 +1,6 @@
 """Routes of the pages about assets, the meshes and maps that a scene can name, and the form that adds one."""
 
+import base64
 from collections.abc import Mapping, Sequence
 from math import degrees
 from pathlib import PurePosixPath
@@ -14,6 +15,7 @@ from starlette.concurrency import run_in_threadpool
 from scene_attack.client.schemas import Uploaded
 from scene_attack.errors import InvalidRequest
 from scene_attack.runs.spec import parsed
+from scene_attack.runs.thumbnail import thumbnail_spec
 from scene_attack.scenes.bundle import (
     MAP_KINDS,
     MAX_FILES,
@@ -104,9 +106,15 @@ def grid(
 
 
 @router.get("/assets/pictures/{asset:path}")
-def asset_picture(asset: str, services: ServicesDependency) -> Response:
-    """The picture that a furniture library has of its model."""
-    data = services.library.picture(asset)
+async def asset_picture(
+    request: Request, asset: str, services: ServicesDependency, caller: CallerDependency, client: Client
+) -> Response:
+    """The picture that a furniture library has of its model, or a primitive in the default light."""
+    data = await run_in_threadpool(services.library.picture, asset)
+    entry = await run_in_threadpool(services.library.entry, asset) if data is None else None
+    if entry is not None and entry.kind == "primitive":
+        asked = services.checks.preview(thumbnail_spec(asset), caller, client)
+        data = base64.b64decode((await while_connected(request, asked))[1])
     if data is None:
         raise no_such("picture")
     headers = HEADERS | {"Cache-Control": "private, max-age=86400", "Content-Security-Policy": "default-src 'none'"}
@@ -151,7 +159,7 @@ def _entries(services: Services, caller: Caller) -> list[Entry]:
 
 def picture(entry: Entry) -> str | None:
     """The address of an asset's picture; None if it has none."""
-    if entry.kind == "furniture":
+    if entry.kind in ("furniture", "primitive"):
         return f"/assets/pictures/{entry.name}"
     return Uploaded.of(entry).thumbnail if entry.name.startswith("sha256:") else None
 

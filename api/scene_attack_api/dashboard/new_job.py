@@ -1,4 +1,7 @@
-"""The page "New job": a form beside a live preview. Without its script it is a form with the request as JSON."""
+"""The page "New job": a form beside a live preview. Without its script it is a form with the request as JSON.
+
+The first request attacks the dents of a mesh, which is a change that a thing could have.
+"""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -13,10 +16,12 @@ from starlette.concurrency import run_in_threadpool
 from scene_attack.attacks.attack import ATTACKS
 from scene_attack.client.states import Priority
 from scene_attack.errors import InvalidRequest
-from scene_attack.rendering.declaration import RENDERERS
+from scene_attack.rendering.declaration import RENDERERS, Declaration
 from scene_attack.runs.spec import JobSpec, parse
+from scene_attack.runs.task_parts import TASKS
 from scene_attack.strict import Names, NotJson, read_json
-from scene_attack.targets.info import available
+from scene_attack.targets.info import ANY_QUESTION, available
+from scene_attack_api.dashboard.assets import picture
 from scene_attack_api.dashboard.pages import HEADERS, html
 from scene_attack_api.requests import CallerDependency, Services, ServicesDependency, names_of, no_such
 from scene_attack_api.routes import jobs
@@ -26,6 +31,8 @@ from scene_attack_service.jobs.queue import Demand
 
 FIRST = ("furniture/grand-piano", "furniture/soccer-ball", "primitive/sphere")
 """Meshes of the first scene: the first one that is installed."""
+FIRST_ATTACK = {"renderer": "torch", "groups": ["bump"], "method": "fgsm"}
+"""The attack of the first request."""
 
 router = APIRouter(include_in_schema=False)
 
@@ -67,24 +74,74 @@ async def submit(
 
 @router.get("/new/choices.json")
 def choices(services: ServicesDependency, caller: CallerDependency) -> Any:
-    """Data from which the form is made: the schema of a request, and the names that its fields may have."""
+    """Data from which the form is made: the schema of a request, and what its fields may have, in words."""
     entries = [*services.library.entries(may_see=services.assets.visible(caller)), *services.library.environments()]
     maps = [[entry.name, entry.title] for entry in entries if entry.kind == "environment"]
     return {
         "schema": _schema(),
-        "meshes": [[entry.name, entry.title] for entry in entries if entry.kind != "environment"],
+        "meshes": [
+            {"name": entry.name, "title": entry.title, "kind": entry.category, "picture": picture(entry)}
+            for entry in sorted(entries, key=lambda entry: entry.category)
+            if entry.kind != "environment"
+        ],
         "environments": [*maps, ["lights", "the scene's own lights"]],
-        "targets": [[target.name, target.title] for target in available()],
-        "materials": [[name, ""] for name in _materials()],
-        "methods": list(ATTACKS),
-        "renderers": {
-            name: {
-                "groups": [[group.name, group.words, group.by_default] for group in declared.groups],
-                "method": declared.method,
+        "targets": [
+            {
+                "name": target.name,
+                "words": target.title if target.missing is None else f"{target.title}; the first job fetches it",
+                "question": target.example or ANY_QUESTION if _is_asked(target.task) else None,
+                "gradient": target.differentiable is not False,
             }
-            for name, declared in RENDERERS.items()
+            for target in available()
+        ],
+        "materials": [[name, ""] for name in _materials()],
+        "gradient_methods": [name for name, attack in ATTACKS.items() if attack.needs_gradient],
+        "renderers": {declared.name: _renderer(declared) for declared in _by_naturalness()},
+    }
+
+
+def _is_asked(task: str) -> bool:
+    """Whether networks of a task are asked something about the image."""
+    return task in TASKS and TASKS[task].ask is not None
+
+
+def _by_naturalness() -> list[Declaration]:
+    """The renderers, those with natural ranges first."""
+    return sorted(RENDERERS.values(), key=lambda declared: not declared.natural_groups)
+
+
+def _renderer(declared: Declaration) -> dict[str, Any]:
+    """What the form says of a renderer and its groups, and which groups each method can attack."""
+    return {
+        "words": declared.explanation,
+        "method": declared.method,
+        "varies": list(declared.varies),
+        "groups": [
+            {
+                "name": group.name,
+                "words": group.words,
+                "explanation": group.explanation,
+                "natural_range": group.natural_range,
+                "by_default": group.by_default,
+            }
+            for group in declared.groups
+        ],
+        "fits": {
+            method: [group for group in declared.group_names if _fits(declared.name, method, group)]
+            for method in ATTACKS
         },
     }
+
+
+@cache
+def _fits(renderer: str, method: str, group: str) -> bool:
+    """Whether a method can attack a group of a renderer; other settings that it needs are not given here."""
+    attack = {"renderer": renderer, "method": method, "groups": [group]}
+    try:
+        parse({"scene": {"objects": [{"mesh": FIRST[-1]}]}, "attack": attack})
+    except InvalidRequest as refused:
+        return not any(error.field in ("attack.renderer", "attack.groups") for error in refused.every)
+    return True
 
 
 def _parsed(text: str, names: Names) -> JobSpec:
@@ -113,7 +170,7 @@ def _first(services: Services, caller: Caller, mesh: str | None) -> dict[str, An
             continue
         mesh = name
         break
-    return {"scene": {"objects": [{"mesh": mesh}]}, "attack": {"renderer": "torch"}}
+    return {"scene": {"objects": [{"mesh": mesh}]}, "attack": FIRST_ATTACK}
 
 
 @cache

@@ -59,6 +59,9 @@ class Group:
     unit: str
     words: str
     """Its name on pages: "surface normals"."""
+    explanation: str = ""
+    """What its values are, in words for somebody who chooses groups: "two free angles for every pixel". Empty: its name
+    and its natural range say enough."""
     labels: Labels | None = None
     """Labels of its coordinates; None for image-like groups."""
     vector_axes: int = 1
@@ -110,6 +113,8 @@ class Declaration:
     differentiable: bool
     method: str
     """Default attack method."""
+    explanation: str = ""
+    """What it does, in words for somebody who chooses a renderer."""
     base_renderer: str | None = None
     """Default base renderer, for a renderer that attacks another renderer's image."""
     renderer: "str | type[Any] | None" = None

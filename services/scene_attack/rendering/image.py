@@ -21,12 +21,14 @@ if TYPE_CHECKING:
                 shape=("H", "W", "3"),
                 unit="displayed RGB value in [0,1]",
                 words="pixels",
+                explanation="three free values for every pixel: a change of the image, not of a thing in the scene",
                 suggested_step=0.002,
                 suggested_limit=8 / 255,
             ),
         ),
         differentiable=True,
         method="fgsm",
+        explanation="changes the pixels of an image, and nothing in the scene",
         base_renderer="torch",
     )
 )

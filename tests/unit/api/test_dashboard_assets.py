@@ -52,7 +52,17 @@ def test_a_furniture_library_s_picture_is_shown(client: Client, app: FastAPI) ->
     assert f"/assets/pictures/{names[0]}" in client.get("/assets").text
 
 
-@pytest.mark.parametrize("name", ["furniture/nothing", "primitive/sphere", "nothing", "furniture/..%2f..%2fsecret"])
+def test_a_primitive_s_picture_is_drawn(client: Client) -> None:
+    seen = client.get("/assets/pictures/primitive/torus")
+    assert seen.status_code == 200, seen.text
+    pixels = np.asarray(Image.open(BytesIO(seen.content)))
+    assert pixels.shape == (192, 192, 3)
+    assert pixels.std() > 5  # it is there
+
+
+@pytest.mark.parametrize(
+    "name", ["furniture/nothing", "primitive/nothing", "sphere", "uniform", "furniture/..%2f..%2fsecret"]
+)
 def test_what_has_no_picture_is_404(client: Client, name: str) -> None:
     assert client.get(f"/assets/pictures/{name}").status_code == 404
 

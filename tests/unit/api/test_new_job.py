@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from httpx import Client
 
+from scene_attack.rendering.declaration import RENDERERS
 from scene_attack.runs.spec import JobSpec, parse
 from scene_attack_api.requests import Services
 from tests.unit.api.conftest import SPHERE
@@ -24,7 +25,8 @@ def request_on(page: str) -> Any:
 
 
 def test_the_first_request_can_be_submitted(client: Client) -> None:
-    parse(request_on(client.get("/new", headers=HTML).text))
+    first = parse(request_on(client.get("/new", headers=HTML).text))
+    assert (first.attack.groups, first.attack.method, first.attack.truncation) == (("bump",), "fgsm", None)
 
 
 def test_a_mesh_may_be_named_in_the_address(client: Client) -> None:
@@ -79,11 +81,26 @@ def test_a_wrong_request_is_shown_again_with_its_errors(
 def test_the_script_gets_every_name_that_a_field_may_have(client: Client) -> None:
     found = client.get("/new/choices.json").json()
     assert found["schema"] == JobSpec.model_json_schema()
-    for kind, name in (("meshes", "primitive/sphere"), ("materials", "rubber"), ("targets", "efficientnet-lite0")):
-        assert name in [one for one, _ in found[kind]]
-    groups = {name: by_default for name, _, by_default in found["renderers"]["torch"]["groups"]}
-    assert groups["normals"]
-    assert not groups["illumination_rgb"]
+    assert "rubber" in [name for name, _ in found["materials"]]
+    meshes = {mesh["name"]: mesh for mesh in found["meshes"]}
+    assert meshes["primitive/sphere"]["picture"] == "/assets/pictures/primitive/sphere"
+    targets = {target["name"]: target for target in found["targets"]}
+    assert (targets["efficientnet-lite0"]["gradient"], targets["efficientnet-lite0"]["question"]) == (True, None)
+
+
+def test_the_script_gets_the_groups_with_their_ranges_and_the_methods_that_fit(client: Client) -> None:
+    found = client.get("/new/choices.json").json()["renderers"]
+    assert next(iter(found)) == "torch"  # which has natural ranges
+    for name, declared in RENDERERS.items():
+        groups = {group["name"]: group for group in found[name]["groups"]}
+        assert tuple(groups) == declared.group_names
+        assert [name for name in groups if groups[name]["natural_range"]] == list(declared.natural_groups)
+        assert [name for name in groups if groups[name]["by_default"]] == list(declared.default_groups)
+        assert found[name]["words"]
+        assert all(group["explanation"] or group["natural_range"] for group in groups.values())
+    assert found["torch"]["fits"]["square"] == ["normals"]  # it needs values at each pixel
+    assert found["torch"]["fits"]["natural-gradient"] == []  # it is for renderers without gradients
+    assert "rotation" in found["pyrender"]["fits"]["natural-gradient"]
 
 
 def test_a_map_that_was_uploaded_is_a_light_and_no_mesh(client: Client) -> None:
@@ -92,4 +109,4 @@ def test_a_map_that_was_uploaded_is_a_light_and_no_mesh(client: Client) -> None:
     found = client.get("/new/choices.json").json()
     named = [sent.json()["name"], "Garden"]
     assert named in found["environments"]
-    assert named not in found["meshes"]
+    assert named[0] not in [mesh["name"] for mesh in found["meshes"]]

@@ -1,7 +1,8 @@
-// The page "New job": fields and JSON show the same request; whichever is changed changes the other.
+// The page "New job": fields, picture and JSON show the same request; whichever is changed changes the others.
 import { Fields } from "./form.js";
+import { Orbit } from "./orbit.js";
 import { ask, plan, preview } from "./preview.js";
-import { parsed } from "./schema.js";
+import { parsed, put } from "./schema.js";
 import { busy } from "./submitting.js";
 
 const form = document.getElementById("new");
@@ -9,10 +10,33 @@ const text = document.getElementById("spec");
 const wrongText = document.getElementById("spec-error");
 const problems = document.getElementById("problems");
 const root = document.getElementById("fields");
+const page = document.querySelector(".new");
 
 const known = await (await fetch("/new/choices.json")).json();
-const fields = new Fields(root, known, fromFields);
+const fields = new Fields(root, document.getElementById("orbit"), known, fromFields);
 document.getElementById("raw").classList.add("with-fields");
+const CAMERA = ["azimuth", "elevation", "distance"];
+const { properties } = known.schema.$defs.Camera;
+const orbit = new Orbit(
+  document.getElementById("picture"),
+  Object.fromEntries(CAMERA.map((name) => [name, properties[name].default])),
+  fromOrbit,
+);
+
+// The camera has been turned: its settings change with it.
+function fromOrbit() {
+  orbit.view.azimuth -= 2 * Math.PI * Math.round(orbit.view.azimuth / (2 * Math.PI)); // from -180° to 180°
+  for (const name of CAMERA) put(fields.spec, ["scene", "camera", name], Number(orbit.view[name].toFixed(3)));
+  fields.display();
+  fromFields();
+}
+
+function aim() {
+  for (const name of CAMERA) {
+    const value = fields.value(["scene", "camera", name], properties[name]);
+    if (typeof value === "number") orbit.view[name] = value;
+  }
+}
 
 function fromFields() {
   text.value = JSON.stringify(fields.spec, null, 1);
@@ -40,16 +64,19 @@ function fromText() {
 
 function look() {
   problems.hidden = true;
+  aim();
   preview(text.value, (answer, ok) => {
     clear();
-    if (ok) fields.fill(answer.spec);
-    else point(answer.errors ?? []);
+    if (ok) {
+      fields.fill(answer.spec);
+      aim();
+    } else point(answer.errors ?? []);
   });
 }
 
 function clear() {
-  for (const one of root.querySelectorAll(".error")) one.hidden = true;
-  for (const one of root.querySelectorAll("[aria-invalid]")) one.removeAttribute("aria-invalid");
+  for (const one of page.querySelectorAll("span.error")) one.hidden = true;
+  for (const one of page.querySelectorAll("input[aria-invalid], select[aria-invalid]")) one.removeAttribute("aria-invalid");
 }
 
 // Shows each error at its field, or at the nearest one around it; returns those that have none, and the fields.

@@ -1,40 +1,47 @@
 // Shows the image of a request's scene, the network's first answers, the warnings, and on demand the plan and its cost.
-const PAUSE = 350; // milliseconds without a change before the service is asked
+const PAUSE = 150; // milliseconds from a change to its preview, so that changes which come together are one
 const shown = document.getElementById("preview");
 const state = document.getElementById("preview-state");
 const picture = document.getElementById("picture");
 
-let waiting = 0;
-let asking = new AbortController();
+let latest; // the newest request that is not asked for yet: [text, found]
+let following = false;
 
-export async function ask(url, body, signal) {
+export async function ask(url, body) {
   const headers = { "Content-Type": "application/json", Accept: "application/json" };
-  const response = await fetch(url, { method: "POST", headers, body, signal });
+  const response = await fetch(url, { method: "POST", headers, body });
   return { ok: response.ok, answer: await response.json() };
 }
 
-// Asks for the preview of a request some time after its last change. Calls `found` with the answer or the errors.
+// Shows the preview of a request soon. Of requests that come while one is drawn, only the newest is drawn next. Calls
+// `found` with the answer or the errors, but not for a request that was changed meanwhile.
 export function preview(text, found) {
-  clearTimeout(waiting);
-  asking.abort();
+  latest = [text, found];
   shown.hidden = false;
   shown.setAttribute("aria-busy", "true");
-  waiting = setTimeout(async () => {
-    asking = new AbortController();
-    const { signal } = asking;
-    state.textContent = "Rendering …";
+  state.textContent ||= "Rendering …";
+  if (!following) follow();
+}
+
+async function follow() {
+  following = true;
+  while (latest) {
+    await new Promise((resume) => setTimeout(resume, PAUSE));
+    const [text, found] = latest;
+    latest = undefined;
     document.getElementById("cost").replaceChildren();
     try {
-      const { ok, answer } = await ask("/v1/preview", text, signal);
+      const { ok, answer } = await ask("/v1/preview", text);
       if (ok) await show(answer);
-      else state.textContent = answer.errors?.length ? "This request cannot run; the last image and answers stay." : answer.detail;
+      else if (!latest) state.textContent = answer.errors?.length ? "This request cannot run; the last image and answers stay." : answer.detail;
       shown.classList.toggle("stale", !ok);
-      found(answer, ok);
-    } catch (error) {
-      if (error.name !== "AbortError") state.textContent = "The service does not answer.";
+      if (!latest) found(answer, ok);
+    } catch {
+      state.textContent = "The service does not answer.";
     }
-    if (!signal.aborted) shown.removeAttribute("aria-busy");
-  }, PAUSE);
+  }
+  following = false;
+  shown.removeAttribute("aria-busy");
 }
 
 async function show(found) {
