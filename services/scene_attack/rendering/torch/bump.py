@@ -9,17 +9,14 @@ The size of an object is the diameter of its bounding sphere, and coefficients a
 thing of one metre. Where they would be steeper than `STEEPEST`, dents are drawn less high.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from math import radians, tan
-from typing import Any
 
 import torch
 from torch import Tensor
-from torch.autograd.function import once_differentiable
 
 from scene_attack.rendering.opengl.gbuffer import Fragments
-from scene_attack.rendering.torch.lattice import CHUNK, NODES, SPACING, nodes, places, product, splines
+from scene_attack.rendering.torch.lattice import NODES, SPACING, Places, splines
 from scene_attack.rendering.torch.table import to_angles, to_vectors
 from scene_attack.scenes.mesh import FIT_RADIUS
 from scene_attack.scenes.resolve import ResolvedScene
@@ -40,18 +37,15 @@ NEXT_TO_POLE = 1e-12
 
 @dataclass(frozen=True)
 class Bump:
-    """The surfaces that are `shown`, and their places in the lattice.
+    """The surfaces that are `shown`, and their `places` in the lattice.
 
-    `normals` float64 [P, 3], the unit normals without dents, camera's frame; `first` int64 [P], the flat index of the
-    first of their 64 nodes, among those of all objects; `within` float64 [P, 3], in [0,1], the place in the cell;
-    `to_camera` float64 [P, 3, 3], which turns gradients in the object's frame, as columns, into the camera's, and is 0
-    for surfaces that are no object's.
+    `normals` float64 [P, 3], the unit normals without dents, camera's frame; `to_camera` float64 [P, 3, 3], which turns
+    gradients in the object's frame, as columns, into the camera's.
     """
 
     shown: Fragments
     normals: Tensor
-    first: Tensor
-    within: Tensor
+    places: Places
     to_camera: Tensor
 
     @classmethod
@@ -63,18 +57,17 @@ class Bump:
         for k in range(len(scene.description.objects)):
             linear = torch.as_tensor(scene.placed[k].model, dtype=torch.float64, device=to_camera.device)[:3, :3]
             turns[shown.object_index == k] = to_camera.T @ linear / torch.linalg.vector_norm(linear[:, 0])
-        first, within = places(scene, shown, to_camera.device)
-        return cls(shown, shown.normals.double() @ to_camera, first, within, turns)
+        return cls(shown, shown.normals.double() @ to_camera, Places.of(scene, shown, to_camera.device), turns)
 
     def turned(self, angles: Tensor, coefficients: Tensor) -> Tensor:
         """Returns angles [P, 2], turned by the dents `coefficients` [objects, NODES, NODES, NODES], in the dtype of the
         angles. It is differentiable (once)."""
         if not coefficients.requires_grad and not coefficients.any():
             return angles  # the scene itself, which every preview shows
-        slopes: Tensor = _Slopes.apply(limited(coefficients), self)  # type: ignore[no-untyped-call]
         own = to_vectors(angles)
         normals = _off_pole(own)
-        before, after = to_angles(normals), to_angles(_off_pole(raised(normals, slopes)))
+        after = raised(normals, self.slopes(limited(coefficients)))
+        before, after = to_angles(normals), to_angles(_off_pole(after))
         # What rounding did to the angles is taken back, so that a surface without dents has the same bits; polar angles
         # beyond 0 and π are those of other azimuths.
         same = (normals == own).all(-1, keepdim=True) & ((before - angles)[:, 1:].abs() < 1e-5)
@@ -89,36 +82,12 @@ class Bump:
     def slopes(self, coefficients: Tensor) -> Tensor:
         """Gradients [P, 3] of the height that the coefficients have unlimited, in the camera's frame, lengths per
         length: 1 is 45°."""
-        flat, parts = coefficients.flatten(), []
-        for first, within, to_camera in self._chunks(coefficients.dtype):
-            weights = _slope_weights(within)
-            gradient = flat.index_select(0, nodes(first, flat.device).flatten()).view(-1, 1, 64) @ weights
-            parts.append((to_camera @ gradient.mT)[..., 0])
-        return torch.cat(parts)
-
-    def pulled(self, gradient: Tensor, like: Tensor) -> Tensor:
-        """The transpose of `slopes`: from a gradient by slopes [P, 3] that by coefficients, of the shape of `like`."""
-        result, start = torch.zeros_like(like).flatten(), 0
-        for first, within, to_camera in self._chunks(like.dtype):
-            own = gradient[start : start + len(first), :, None]
-            parts = _slope_weights(within) @ (to_camera.mT @ own)
-            result.index_add_(0, nodes(first, like.device).flatten(), parts.flatten())
-            start += len(first)
-        return result.view_as(like)
+        gradients = self.places.gradients(coefficients) * (UNIT / SPACING)
+        return (self.to_camera.to(gradients) @ gradients[..., None])[..., 0]
 
     def heights(self, coefficients: Tensor) -> Tensor:
         """Heights [P] of the surfaces in the dents `coefficients`, in their unit; 0 for those that are no object's."""
-        flat, parts = limited(coefficients).flatten(), []
-        for first, within, to_camera in self._chunks(coefficients.dtype):
-            values = flat.index_select(0, nodes(first, flat.device).flatten()).view(-1, 64)
-            is_object = to_camera.flatten(1).any(1)
-            parts.append((values * product(*splines(within)[0].unbind(1))).sum(1) * is_object)
-        return torch.cat(parts)
-
-    def _chunks(self, dtype: torch.dtype) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
-        for start in range(0, len(self.first), CHUNK):
-            some = slice(start, start + CHUNK)
-            yield self.first[some], self.within[some].to(dtype), self.to_camera[some].to(dtype)
+        return self.places.values(limited(coefficients)[..., None])[:, 0]
 
 
 def limited(coefficients: Tensor) -> Tensor:
@@ -157,27 +126,6 @@ def raised(normals: Tensor, slopes: Tensor) -> Tensor:
     `normals` are unit vectors; the result is 1 / cos(slope) long.
     """
     return normals - slopes + (normals * slopes).sum(-1, keepdim=True) * normals
-
-
-class _Slopes(torch.autograd.Function):
-    """`Bump.slopes`, a linear function, with its transpose as derivative: its weights are made again, not kept."""
-
-    @staticmethod
-    def forward(ctx: Any, coefficients: Tensor, bump: Bump) -> Tensor:
-        ctx.bump, ctx.like = bump, coefficients.detach()
-        return bump.slopes(coefficients)
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None]:
-        return ctx.bump.pulled(gradient, ctx.like), None
-
-
-def _slope_weights(within: Tensor) -> Tensor:
-    """The gradient [P, 64, 3], in the object's frame, that a coefficient of 1 at each node gives."""
-    (x, y, z), (dx, dy, dz) = (of.unbind(1) for of in splines(within))
-    gradients = torch.stack((product(dx, y, z), product(x, dy, z), product(x, y, dz)), dim=-1)
-    return gradients * (UNIT / SPACING)
 
 
 def _off_pole(normals: Tensor) -> Tensor:

@@ -11,16 +11,13 @@ surface without paint keeps its own bits. At a = 0 the derivative by a jumps whe
 the mean of both sides is taken, which is what a central difference finds.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import torch
 from torch import Tensor
-from torch.autograd.function import once_differentiable
 
 from scene_attack.rendering.opengl.gbuffer import Fragments
-from scene_attack.rendering.torch.lattice import CHUNK, nodes, places, product, splines
+from scene_attack.rendering.torch.lattice import Places
 from scene_attack.scenes.resolve import ResolvedScene
 
 PRINTABLE = (0.03, 0.87)
@@ -31,67 +28,23 @@ saturated blues and greens of this cube are beyond what four inks mix."""
 
 @dataclass(frozen=True)
 class Paint:
-    """The surfaces that are `shown`, and their places in the lattice.
-
-    `first` int64 [P] and `within` float64 [P, 3] are as `lattice.places` returns them; `is_object` [P] is False for
-    surfaces that are no object's, which have no paint.
-    """
+    """The surfaces that are `shown`, and their `places` in the lattice."""
 
     shown: Fragments
-    first: Tensor
-    within: Tensor
-    is_object: Tensor
+    places: Places
 
     @classmethod
     def of(cls, scene: ResolvedScene, shown: Fragments, device: torch.device) -> "Paint":
         """The places of the surfaces `shown`."""
-        return cls(shown, *places(scene, shown, device), shown.object_index < len(scene.description.objects))
+        return cls(shown, Places.of(scene, shown, device))
 
     def colors(self, own: Tensor, coefficients: Tensor) -> Tensor:
         """Returns linear base colours [P, 3] of surfaces whose own are `own`, painted by `coefficients` [objects,
         NODES, NODES, NODES, 3] in [−1, 1], of the same dtype. It is differentiable (once) in the coefficients."""
-        amounts: Tensor = _Amounts.apply(coefficients, self)  # type: ignore[no-untyped-call]
+        amounts = self.places.values(coefficients)
         darkest, lightest = PRINTABLE
         middle, half = (lightest + darkest) / 2, (lightest - darkest) / 2
         return own + half * amounts + (middle - own) * amounts.abs()
-
-    def amounts(self, coefficients: Tensor) -> Tensor:
-        """The covered shares [P, 3] of the surfaces, with the sign of the paint."""
-        flat, parts = coefficients.reshape(-1, 3), []
-        for first, weights in self._chunks(coefficients.dtype):
-            values = flat.index_select(0, nodes(first, flat.device).flatten()).view(-1, 64, 3)
-            parts.append((weights[:, None] @ values)[:, 0])
-        return torch.cat(parts)
-
-    def pulled(self, gradient: Tensor, like: Tensor) -> Tensor:
-        """The transpose of `amounts`: from a gradient by shares [P, 3] that by coefficients, of the shape of `like`."""
-        result, start = torch.zeros_like(like).view(-1, 3), 0
-        for first, weights in self._chunks(like.dtype):
-            own = gradient[start : start + len(first)]
-            result.index_add_(0, nodes(first, like.device).flatten(), (weights[..., None] * own[:, None]).view(-1, 3))
-            start += len(first)
-        return result.view_as(like)
-
-    def _chunks(self, dtype: torch.dtype) -> Iterator[tuple[Tensor, Tensor]]:
-        """Yields the first nodes of some surfaces, and the weights of their 64 nodes."""
-        for start in range(0, len(self.first), CHUNK):
-            some = slice(start, start + CHUNK)
-            values = splines(self.within[some].to(dtype))[0]
-            yield self.first[some], product(*values.unbind(1)) * self.is_object[some, None]
-
-
-class _Amounts(torch.autograd.Function):
-    """`Paint.amounts`, a linear function, with its transpose as derivative: its weights are made again, not kept."""
-
-    @staticmethod
-    def forward(ctx: Any, coefficients: Tensor, paint: Paint) -> Tensor:
-        ctx.paint, ctx.like = paint, coefficients.detach()
-        return paint.amounts(coefficients)
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None]:
-        return ctx.paint.pulled(gradient, ctx.like), None
 
 
 TO_XYZ = torch.tensor(

@@ -13,7 +13,7 @@ from torch import Tensor
 import scene_attack as sa
 from scene_attack.process import options
 from scene_attack.rendering.torch.bump import LARGEST, UNIT, Bump, limited, raised
-from scene_attack.rendering.torch.lattice import NODES, SPACING
+from scene_attack.rendering.torch.lattice import NODES, SPACING, Places
 from scene_attack.rendering.torch.renderer import TorchRenderer
 from scene_attack.scenes.library import Library
 from scene_attack.scenes.mesh import FIT_RADIUS, Mesh
@@ -198,11 +198,10 @@ def test_slopes_have_no_curl() -> None:
 def at_points(points: np.ndarray) -> Bump:
     """Surfaces at points [P, 3] of an object's frame that is the camera's."""
     bump = dented(one("primitive/sphere")).bump
-    places = (torch.from_numpy(points) + FIT_RADIUS) / SPACING
-    cell = places.floor().long()
-    first = (cell[:, 0] * NODES + cell[:, 1]) * NODES + cell[:, 2]
+    index = torch.zeros(len(points), dtype=torch.int64)
+    places = Places.at(torch.from_numpy(points), index, index == 0)
     turns = torch.eye(3, dtype=torch.float64).expand(len(points), 3, 3)
-    return Bump(bump.shown, torch.zeros(len(points), 3, dtype=torch.float64), first, places - cell, turns)
+    return Bump(bump.shown, torch.zeros(len(points), 3, dtype=torch.float64), places, turns)
 
 
 # Limits, words and requests

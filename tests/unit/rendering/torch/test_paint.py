@@ -216,7 +216,7 @@ def test_painted_colours_are_printable_or_the_scenes_own() -> None:
     renderer = painting(resolved(objects=[{"mesh": "primitive/sphere", "material": "matte"}]))
     darkest, lightest = PRINTABLE
     assert (darkest, lightest) == (paints.DARKEST, paints.LIGHTEST)
-    own = torch.linspace(0, 1, len(renderer.paint.first), dtype=torch.float64)[:, None].expand(-1, 3)
+    own = torch.linspace(0, 1, len(renderer.paint.places.first), dtype=torch.float64)[:, None].expand(-1, 3)
     for values in (torch.from_numpy(random_paint(seed=k)) for k in range(3)):
         colors = renderer.paint.colors(own, values)
         assert (colors >= own.clamp_max(darkest) - 1e-12).all()
