@@ -23,8 +23,8 @@ from scene_attack.rendering.protocol import Parameters
 from scene_attack.scenes.resolve import ResolvedScene
 from scene_attack.scenes.view import camera_pose, model_matrices
 
-KEPT = 32
-"""Renderers of moved scenes that are kept: more than the two sides of each coordinate's difference of one object."""
+KEPT = 8
+"""Renderers of moved scenes that are kept, of 10 MB each at 224²: more than the views that a step usually has."""
 HALF_STEP = 0.01
 """Half-step of the differences, radians and scene units: about a pixel at the outline of an object that fills 224²."""
 
