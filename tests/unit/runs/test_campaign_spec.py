@@ -209,6 +209,7 @@ def test_an_attack_whose_bounds_differ_is_checked_of_its_own() -> None:
         ("campaign-small", 27),
         ("paper-differentiable", 1400),
         ("paper-lite0", 360),
+        ("paper-physical", 600),
         ("paper-equal-p", 520),
         ("paper-nondifferentiable", 210),
         ("paper-tolerances", 120),
