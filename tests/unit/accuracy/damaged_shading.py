@@ -106,15 +106,15 @@ def colorless_metal(patch) -> None:
 
 
 @breaks("__call__", shader.Shader)
-def swapped_light(true, shader_, angles, light, material):
+def swapped_light(true, shader_, angles, light, *others):
     """Light whose red and blue are exchanged where each channel has its own."""
-    return true(shader_, angles, light.flip(0) if light.dim() == 2 else light, material)
+    return true(shader_, angles, light.flip(0) if light.dim() == 2 else light, *others)
 
 
 @breaks("__call__", shader.Shader)
-def colorless_light(true, shader_, angles, light, material):
+def colorless_light(true, shader_, angles, light, *others):
     """Light in one channel where each should have its own."""
-    return true(shader_, angles, light.mean(0) if light.dim() == 2 else light, material)
+    return true(shader_, angles, light.mean(0) if light.dim() == 2 else light, *others)
 
 
 def far_too_bright_light(patch) -> None:

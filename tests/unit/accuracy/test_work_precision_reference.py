@@ -1,5 +1,7 @@
 """The reference of the work-precision report, beside an independent program; and sizes of maps."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
@@ -105,8 +107,8 @@ def test_a_reference_that_is_wrong_is_seen(factor: float, monkeypatch: pytest.Mo
     """A sum off by 1e-9, and one whose image is right and whose gradient has the other sign."""
     honest = Shader.__call__
 
-    def wrong(self: Shader, angles: Tensor, illumination: Tensor, material: Tensor) -> Tensor:
-        whole = honest(self, angles, illumination, material)
+    def wrong(self: Shader, *given: Any) -> Tensor:
+        whole = honest(self, *given)
         return whole * factor if factor > 0 else 2 * whole.detach() - whole
 
     monkeypatch.setattr(Shader, "__call__", wrong)
