@@ -62,8 +62,6 @@ class Bump:
     def turned(self, angles: Tensor, coefficients: Tensor) -> Tensor:
         """Returns angles [P, 2], turned by the dents `coefficients` [objects, NODES, NODES, NODES], in the dtype of the
         angles. It is differentiable (once)."""
-        if not coefficients.requires_grad and not coefficients.any():
-            return angles  # the scene itself, which every preview shows
         own = to_vectors(angles)
         normals = _off_pole(own)
         after = raised(normals, self.slopes(limited(coefficients)))

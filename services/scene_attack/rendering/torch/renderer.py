@@ -48,6 +48,8 @@ from scene_attack.scenes.resolve import ResolvedScene
 
 TURNED_INTO = {"bump": "normals", "dials": "material", "lamp": "illumination_rgb"}
 """The group whose values another one's are turned into, for the planner: it plans for any values of these."""
+ADDED = ("bump", "dials", "paint", "lamp")
+"""Groups that are 0 at the start, where they leave every bit of the image as it is without them."""
 
 
 def ignored_items(scene: ResolvedScene) -> Iterator[Item]:
@@ -333,6 +335,11 @@ class TorchRenderer(DeclaredRenderer):
 
     def _image(self, parameters: Parameters) -> Tensor:
         """Renders one image [H, W, 3]; groups that are not given keep the scene's own values."""
+        parameters = {
+            group: value
+            for group, value in parameters.items()
+            if group not in ADDED or value.requires_grad or bool(value.any())
+        }
         place = {group: value for group, value in parameters.items() if group in TORCH.moving_groups}
         if place:
             return self._elsewhere.image(
