@@ -194,7 +194,9 @@ def _behaviour(renderer: Renderer) -> Iterator[Tensor]:
     from scene_attack.rendering.color import quantize
     from scene_attack.rendering.declaration import RENDERERS
 
-    elsewhere = RENDERERS[renderer.name].moving_groups  # from where the pixels of one view cannot be drawn
+    declared = RENDERERS[renderer.name]
+    one_view = any(group.per_pixel for group in declared.groups)
+    elsewhere = declared.moving_groups if one_view else ()  # from where the pixels of one view cannot be drawn
     own = {group: value for group, value in renderer.initial().items() if group not in elsewhere}
     bounds = renderer.bounds()
     moved = {}

@@ -99,6 +99,44 @@ class Group:
                 )
 
 
+TRANSLATION = Group(
+    name="translation",
+    shape=("objects", "3"),
+    unit="scene units",
+    words="position",
+    explanation="where each object is",
+    labels=labelled("object {} translation", ("x", "y", "z")),
+    suggested_step=0.0005,
+    suggested_limit=0.02,
+    moves=True,
+)
+"""A renderer that moves objects has this group and the next."""
+ROTATION = Group(
+    name="rotation",
+    shape=("objects", "3"),
+    unit="radians: a rotation vector",
+    words="rotation",
+    explanation="how each object is turned",
+    labels=labelled("object {} rotation", ("x", "y", "z")),
+    suggested_step=0.001,
+    suggested_limit=0.1,
+    moves=True,
+)
+CAMERA = Group(
+    name="camera",
+    shape=("4",),
+    unit="azimuth and elevation in radians, distance in scene units, and roll in radians",
+    words="camera",
+    explanation="where the camera is, and how it is rolled",
+    labels=labelled(("camera azimuth", "camera elevation", "camera distance", "camera roll")),
+    suggested_step=0.001,
+    suggested_limit=0.1,
+    by_default=False,
+    moves=True,
+)
+"""That of one that moves the camera."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Declaration:
     """Metadata of a renderer.

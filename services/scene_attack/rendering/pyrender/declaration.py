@@ -8,7 +8,7 @@ of a group at random signs changes an image of 224² by a perceptibility p of ab
 longer steps than what moves silhouettes, whose p grows with the root of the step.
 """
 
-from scene_attack.rendering.declaration import Declaration, Group, labelled, register
+from scene_attack.rendering.declaration import CAMERA, ROTATION, TRANSLATION, Declaration, Group, labelled, register
 
 PYRENDER = Declaration(
     name="pyrender",
@@ -35,37 +35,9 @@ PYRENDER = Declaration(
             labels=labelled("object {} color", ("red", "green", "blue")),
             suggested_step=0.005,
         ),
-        Group(
-            name="translation",
-            shape=("objects", "3"),
-            unit="scene units",
-            words="position",
-            explanation="where each object is",
-            suggested_limit=0.02,
-            labels=labelled("object {} translation", ("x", "y", "z")),
-            suggested_step=0.0005,
-        ),
-        Group(
-            name="rotation",
-            shape=("objects", "3"),
-            unit="radians: a rotation vector",
-            words="rotation",
-            explanation="how each object is turned",
-            suggested_limit=0.1,
-            labels=labelled("object {} rotation", ("x", "y", "z")),
-            suggested_step=0.001,
-        ),
-        Group(
-            name="camera",
-            shape=("4",),
-            unit="azimuth and elevation in radians, distance in scene units, and roll in radians",
-            words="camera",
-            explanation="where the camera is, and how it is rolled",
-            labels=labelled(("camera azimuth", "camera elevation", "camera distance", "camera roll")),
-            suggested_limit=0.1,
-            by_default=False,
-            suggested_step=0.001,
-        ),
+        TRANSLATION,
+        ROTATION,
+        CAMERA,
     ),
     differentiable=False,
     method="zoo",

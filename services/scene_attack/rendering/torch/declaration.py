@@ -6,12 +6,13 @@ module needs no torch: the API checks requests by the groups and by the names of
 """
 
 import json
+from dataclasses import replace
 from functools import lru_cache
 from importlib.resources import files
 from typing import Any
 
 from scene_attack.errors import InvalidRequest
-from scene_attack.rendering.declaration import Declaration, Group, labelled, register
+from scene_attack.rendering.declaration import CAMERA, ROTATION, TRANSLATION, Declaration, Group, labelled, register
 from scene_attack.text import did_you_mean
 
 TORCH = Declaration(
@@ -110,42 +111,9 @@ TORCH = Declaration(
             "lamp above the horizon, of up to the map's power and 10° to 40° in radius",
             by_default=False,
         ),
-        Group(
-            name="translation",
-            shape=("objects", "3"),
-            unit="scene units",
-            words="position",
-            explanation="where each object is",
-            labels=labelled("object {} translation", ("x", "y", "z")),
-            suggested_step=0.0005,
-            suggested_limit=0.02,
-            by_default=False,
-            moves=True,
-        ),
-        Group(
-            name="rotation",
-            shape=("objects", "3"),
-            unit="radians: a rotation vector",
-            words="rotation",
-            explanation="how each object is turned",
-            labels=labelled("object {} rotation", ("x", "y", "z")),
-            suggested_step=0.001,
-            suggested_limit=0.1,
-            by_default=False,
-            moves=True,
-        ),
-        Group(
-            name="camera",
-            shape=("4",),
-            unit="azimuth and elevation in radians, distance in scene units, and roll in radians",
-            words="camera",
-            explanation="where the camera is, and how it is rolled",
-            labels=labelled(("camera azimuth", "camera elevation", "camera distance", "camera roll")),
-            suggested_step=0.001,
-            suggested_limit=0.1,
-            by_default=False,
-            moves=True,
-        ),
+        replace(TRANSLATION, by_default=False),
+        replace(ROTATION, by_default=False),
+        CAMERA,
     ),
     differentiable=True,
     method="fgsm",

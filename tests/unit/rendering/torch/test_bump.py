@@ -20,6 +20,7 @@ from scene_attack.scenes.mesh import FIT_RADIUS, Mesh
 from scene_attack.scenes.resolve import ResolvedScene, resolve
 from tests.unit.rendering import dents, shapes
 from tests.unit.rendering.dents import random_dents
+from tests.unit.rendering.torch.drill import attacked
 
 MATERIAL = {"material": "matte"}
 
@@ -269,14 +270,7 @@ def test_one_dented_object_is_the_same_from_every_view() -> None:
 
 @pytest.fixture
 def result() -> sa.Result:
-    torch.manual_seed(0)
-    layers = [torch.nn.Conv2d(3, 16, 5, 4), torch.nn.ReLU(), torch.nn.AdaptiveAvgPool2d(2), torch.nn.Flatten()]
-    model = torch.nn.Sequential(*layers, torch.nn.Linear(64, 5))
-    target = sa.target(model, labels=list("abcde"), preprocessing=sa.Preprocessing(input_size=(32, 32)))
-    scene = sa.Scene(
-        camera=sa.Camera(size=(64, 64)), objects=[sa.Object(mesh="furniture/drill", material="plastic", scale=0.8)]
-    )
-    return sa.attack(scene, target, sa.FGSM(renderer="torch", groups=["bump"], steps=20), seed=3)
+    return attacked("bump")
 
 
 def test_a_result_says_its_dents_in_millimetres(result: sa.Result) -> None:

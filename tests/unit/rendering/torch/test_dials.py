@@ -26,6 +26,7 @@ from scene_attack.rendering.torch.renderer import TorchRenderer
 from scene_attack.scenes.library import Library
 from scene_attack.scenes.resolve import ResolvedScene, resolve
 from tests.unit.rendering import dials as by_hand
+from tests.unit.rendering.torch.drill import attacked
 from tests.unit.rendering.torch.planned import error, on_sphere
 from tests.unit.rendering.torch.spheres import sphere
 
@@ -227,14 +228,7 @@ def test_gradient_against_a_central_difference(materials: tuple[str, str], start
 
 
 def test_a_result_says_its_dials_in_percent() -> None:
-    torch.manual_seed(0)
-    layers = [torch.nn.Conv2d(3, 16, 5, 4), torch.nn.ReLU(), torch.nn.AdaptiveAvgPool2d(2), torch.nn.Flatten()]
-    model = torch.nn.Sequential(*layers, torch.nn.Linear(64, 5))
-    target = sa.target(model, labels=list("abcde"), preprocessing=sa.Preprocessing(input_size=(32, 32)))
-    scene = sa.Scene(
-        camera=sa.Camera(size=(64, 64)), objects=[sa.Object(mesh="furniture/drill", material="plastic", scale=0.8)]
-    )
-    result = sa.attack(scene, target, sa.FGSM(renderer="torch", groups=["dials"], steps=20), seed=3)
+    result = attacked("dials")
     [change] = result.record.change.things
     own = result.perturbation["dials"][0].tolist()
     percent = {value.name.rpartition(", ")[2]: value.after for value in change.values}

@@ -21,8 +21,9 @@ from scene_attack.scenes.resolve import ResolvedScene, resolve
 from tests.unit.rendering import paints, shapes
 from tests.unit.rendering.paints import random_paint
 from tests.unit.rendering.shading import sphere_gbuffer, sphere_scene
+from tests.unit.rendering.torch.drill import attacked
 from tests.unit.rendering.torch.planned import error, on_sphere, studio_map
-from tests.unit.rendering.torch.test_bump import in_its_frame
+from tests.unit.rendering.torch.test_bump import SEVERAL, in_its_frame
 
 MATERIALS = ("matte", "plastic", "metal")
 
@@ -36,14 +37,6 @@ def resolved(**scene: Any) -> ResolvedScene:
 
 def painting(scene: ResolvedScene, tolerance: Any = "exact") -> TorchRenderer:
     return TorchRenderer(scene, groups=("paint",), tolerance=tolerance)
-
-
-SEVERAL = {
-    "objects": [
-        {"mesh": "primitive/torus", "rotation": [0.4, -0.3, 1.0], "scale": 0.5, "translation": [-0.4, 0.1, 0.0]},
-        {"mesh": "primitive/cube", "rotation": [0.0, 0.7, 0.0], "scale": 0.4, "translation": [0.4, 0.0, 0.2]},
-    ]
-}
 
 
 @pytest.mark.parametrize("azimuth", [0.0, 2.2])
@@ -248,14 +241,7 @@ def test_cielab_of_known_colours(srgb: tuple[float, ...], lab: tuple[float, ...]
 
 
 def test_a_result_says_its_paint_in_differences_of_colour() -> None:
-    torch.manual_seed(0)
-    layers = [torch.nn.Conv2d(3, 16, 5, 4), torch.nn.ReLU(), torch.nn.AdaptiveAvgPool2d(2), torch.nn.Flatten()]
-    model = torch.nn.Sequential(*layers, torch.nn.Linear(64, 5))
-    target = sa.target(model, labels=list("abcde"), preprocessing=sa.Preprocessing(input_size=(32, 32)))
-    scene = sa.Scene(
-        camera=sa.Camera(size=(64, 64)), objects=[sa.Object(mesh="furniture/drill", material="plastic", scale=0.8)]
-    )
-    result = sa.attack(scene, target, sa.FGSM(renderer="torch", groups=["paint"], steps=5), seed=3)
+    result = attacked("paint", steps=5)
     [change] = result.record.change.things
     values = {value.name.rpartition(", ")[2]: value.after for value in change.values}
     assert "ΔE" in change.sentence
