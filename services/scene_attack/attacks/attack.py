@@ -14,7 +14,7 @@ from pydantic import Field, ModelWrapValidatorHandler, ValidationInfo, field_val
 
 from scene_attack.attacks.request import Expectation, Loss
 from scene_attack.plugins import Registry
-from scene_attack.rendering.declaration import MAX_STEP, RENDERERS, Group
+from scene_attack.rendering.declaration import MAX_STEP, RENDERERS, SHORTEST_WAVE, Group
 from scene_attack.strict import Model, Several
 from scene_attack.text import there_are
 
@@ -79,7 +79,8 @@ class Attack(Model):
     epsilon: dict[str, Limit] = Field(
         default_factory=dict,
         description="ε: largest change of a parameter from the scene's own value, by group, in the group's units; a "
-        "group that is left out has no limit, or, with a method that needs one, the limit that its renderer suggests",
+        "group that is left out has its natural range, if it has one, or no limit, or, with a method that needs one, "
+        "the limit that its renderer suggests",
     )
     bounds: dict[str, tuple[Value, Value]] = Field(
         default_factory=dict,
@@ -116,6 +117,12 @@ class Attack(Model):
         default=None,
         description="views, light and camera noise over which the adversary is to hold, so that the attack lowers the "
         "mean objective; null: the scene itself alone",
+    )
+    wavelength: Annotated[float, Field(ge=SHORTEST_WAVE, le=1)] | None = Field(
+        default=None,
+        exclude_if=operator.not_,
+        description="for groups with waves (`bump`, `shape`, `paint`): the shortest of them, in sizes of the object; "
+        "default: 0.1",
     )
     leave_out: dict[str, Limit] = Field(
         default_factory=dict,
@@ -256,6 +263,10 @@ class Attack(Model):
             self.expectation.check(has, self.groups)
             if self.truncation is not None:
                 raise ValueError("truncation: U is of one view in one light; with `expectation` leave it out")
+        if self.wavelength is not None and not any(has.group(name).waves for name in self.groups):
+            offered = [group.name for group in has.groups if group.waves]
+            them = f"only {', '.join(offered)} do" if offered else f"no group of {has.name} does"
+            raise ValueError(f"wavelength: no attacked group has waves; {them}")
         pixels = [name for name in self.groups if has.group(name).per_pixel]
         moving = [name for name in self.groups if name in has.moving_groups]
         if pixels and moving:
@@ -305,7 +316,7 @@ def _completed(settings: type[Attack], fields: dict[str, Any]) -> dict[str, Any]
         data["groups"] = sorted(asked, key=renderer.group_names.index)
     if data.get("base_renderer") is None:
         data["base_renderer"] = renderer.base_renderer
-    return data
+    return suggested(data, "epsilon", lambda group: group.suggested_limit if group.natural_range else None)
 
 
 _BUILT_IN = ("apgd", "cma_es", "fgsm", "mi_fgsm", "natural_gradient", "p_rgf", "spsa", "square", "zoo")
@@ -404,8 +415,8 @@ class SearchWithinLimits(Attack):
     epsilon: dict[str, Limit] = Field(
         default_factory=dict,
         description="ε: largest change of a parameter from the scene's own value, by group, in the group's units; a "
-        "group that is left out has no limit where `truncation` or `perceptibility` limits the search, else the limit "
-        "that its renderer suggests",
+        "group that is left out has its natural range, if it has one; else no limit where `truncation` or "
+        "`perceptibility` limits the search, or the limit that its renderer suggests",
     )
 
     @classmethod

@@ -21,9 +21,10 @@ from scene_attack.errors import InvalidRequest
 from scene_attack.export.glb import scene_glb
 from scene_attack.export.parameters import as_colors, light_maps, normal_maps, openexr, parameter_table, write_exr
 from scene_attack.export.report import Files, readme, report
-from scene_attack.export.scene_values import moves_the_scene, scene_values
+from scene_attack.export.scene_values import CARRIED, scene_values
 from scene_attack.rendering.protocol import Parameters
 from scene_attack.rendering.torch.declaration import TORCH
+from scene_attack.rendering.torch.shape import bent
 from scene_attack.runs.exported_targets import exported_targets, write_targets
 from scene_attack.runs.prepare import lit_by_map, resolved_scene
 from scene_attack.runs.result import PERTURBATION, RESULT, Result
@@ -85,8 +86,11 @@ class Finished:
 
     def glb(self, which: str) -> bytes:
         """The scene "before" or "after" the attack as a binary glTF file."""
-        moved = self.perturbation if which == "after" and moves_the_scene(self.spec.attack.renderer) else {}
-        return scene_glb(self.scene, scene_values(self.scene, moved), self.lit_by_map, f"environment_{which}.exr")
+        renderer = self.spec.attack.renderer
+        groups = CARRIED.get(renderer, ()) if which == "after" else ()
+        changes = {group: change for group, change in self.perturbation.items() if group in groups}
+        scene = bent(self.scene, changes) if renderer == TORCH.name else self.scene
+        return scene_glb(scene, scene_values(scene, changes), self.lit_by_map, f"environment_{which}.exr")
 
 
 def read_finished(files: Files, library: Library) -> Finished:
@@ -130,7 +134,8 @@ def write_bundle(files: Files, library: Library, write: Write, job: str | None =
             put(name, resources("scene_attack.export").joinpath("stock", name).read_bytes())
     of_groups = {
         "normals": ("normals_before.npy", "normals_after.npy"),
-        "bump": ("normals_before.npy", "normals_after.npy"),
+        "bump": ("normals_before.npy", "normals_after.npy", "scene_before.glb", "scene_after.glb"),
+        "shape": ("scene_before.glb", "scene_after.glb"),
         "paint": ("paint.png",),
         "illumination": ("environment_before.exr", "environment_after.exr"),
         "illumination_rgb": ("environment_before.exr", "environment_after.exr"),

@@ -21,6 +21,7 @@ from scene_attack.rendering.pyrender.declaration import PYRENDER
 from scene_attack.rendering.pyrender.parameters import ENERGY, IRRADIANCE, SceneParameters
 from scene_attack.rendering.torch.bump import Bump
 from scene_attack.rendering.torch.lamp import Lamp
+from scene_attack.rendering.torch.lattice import Lattice, Places, own_points
 from scene_attack.rendering.torch.light import illumination
 from scene_attack.rendering.torch.surfaces import visible_surfaces
 from scene_attack.rendering.torch.table import to_vectors
@@ -161,8 +162,10 @@ def normal_maps(scene: ResolvedScene, perturbation: Parameters) -> BeforeAfter:
         first = visible.shown.rank == 0
         shown = visible.shown.some(first)
         pixels = after.view(-1, 2)
-        turned = Bump.of(scene, shown, to_camera).turned(pixels[shown.pixels], perturbation["bump"].double())
-        pixels[shown.pixels] = turned
+        coefficients = perturbation["bump"].double()
+        places = Places.at(Lattice.under(coefficients), *own_points(scene, shown, to_camera.device))
+        bump = Bump.of(scene, shown, places, to_camera)
+        pixels[shown.pixels] = bump.turned(pixels[shown.pixels], coefficients)
     return BeforeAfter(vectors(visible.image), vectors(after))
 
 

@@ -18,7 +18,7 @@ from pydantic import BaseModel
 
 from scene_attack.attacks.trace import TraceRow
 from scene_attack.export.parameters import ParameterTable
-from scene_attack.rendering.pyrender.declaration import PYRENDER
+from scene_attack.export.scene_values import CARRIED
 from scene_attack.rendering.pyrender.renderer import EXPOSURE
 from scene_attack.rendering.torch.light import illumination
 from scene_attack.runs.exported_targets import FOLDER, ExportedTarget
@@ -60,6 +60,7 @@ CONTENTS = {
     "subset-*.png": "the image with only some of the changed groups: the row of that number, from 0, of `subsets` in "
     "`result.json`",
     "dents.png": "the heights of the dents, from pressed in (blue) to raised (red)",
+    "shape.png": "how far the surface moved, from 0 (white) to the largest (red)",
     "paint.png": "the base colours of the painted surface, without light",
     "normals-tilt.png": "the angle by which each normal turned, from 0 (violet) to the largest (yellow)",
     "map-before.png": "the intensities of the environment map as it was",
@@ -102,8 +103,8 @@ def readme(
         missing=[missing for target in targets if (missing := target.missing(FOLDER)) is not None],
         written_by=result.provenance.versions.get("scene-attack", version("scene-attack")),
         lengths=_lengths(scene),
-        same_scene=spec.attack.renderer != PYRENDER.name,
-        why_same="the attack changes pixels" if not mapped else "see below",
+        same_scene=not set(spec.attack.groups) & set(CARRIED.get(spec.attack.renderer, ())),
+        why_same="see below" if mapped else "the attack changes pixels",
         lit_by_map=mapped,
         exposure=illumination(torch.as_tensor(scene.environment)).exposure if mapped else EXPOSURE,
         viewer="a distant viewer, the same for all pixels"

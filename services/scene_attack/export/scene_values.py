@@ -10,6 +10,7 @@ from torch import Tensor
 
 from scene_attack.rendering.pyrender.declaration import PYRENDER
 from scene_attack.rendering.pyrender.parameters import SceneParameters
+from scene_attack.rendering.torch.declaration import TORCH
 from scene_attack.scenes.mesh import Doubles
 from scene_attack.scenes.resolve import ResolvedScene
 from scene_attack.scenes.view import camera_pose
@@ -85,9 +86,9 @@ def scene_values(scene: ResolvedScene, perturbation: Mapping[str, Tensor]) -> Sc
     )
 
 
-def moves_the_scene(renderer: str) -> bool:
-    """Whether the renderer's groups are values of the scene, so that the scene differs before and after the attack."""
-    return renderer == PYRENDER.name
+CARRIED = {PYRENDER.name: PYRENDER.group_names, TORCH.name: ("bump", *TORCH.moving_groups)}
+"""By renderer the groups that change the scene itself, so that it differs before and after the attack: dents of the
+torch renderer are in its meshes' normals, and its shapes in their vertices."""
 
 
 def as_extras(light: LightValues) -> dict[str, Any]:

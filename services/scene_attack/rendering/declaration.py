@@ -23,6 +23,8 @@ MAX_STEP = 1000
 """Largest suggested step; requests accept no larger learning rate."""
 IMAGE_OF = "image of "
 """Prefix of the backend string of an image that another renderer drew; that renderer's own string follows."""
+SHORTEST_WAVE = 0.1
+"""Shortest wavelength that is offered of groups whose values are on a lattice in each object, in its sizes."""
 LOCATION = re.compile(r"[\w.]+:\w+")
 
 Labels = Callable[[tuple[int, ...]], list[str]]
@@ -79,6 +81,8 @@ class Group:
     """Whether its values belong to the pixels of one view of the scene, so that no other view has them."""
     moves: bool = False
     """Whether it moves objects or the camera, so that pixels show other surfaces."""
+    waves: bool = False
+    """Whether its values are on a lattice in each object, for which a request chooses the shortest wavelength."""
     natural_range: str | None = None
     """The range of its bounds in words, if it is what a thing could really have: then no U is needed. None: the bounds
     are what can be computed."""
@@ -216,6 +220,8 @@ class BuildRequest:
     """Largest error of a displayed value that images inside the attack may have; "exact" allows no shortcut."""
     base: "Renderer | None"
     """The exact renderer of the attacked image, for a renderer with a `base_renderer`; None for others."""
+    wavelength: float = SHORTEST_WAVE
+    """The shortest of groups with `waves`, in sizes of an object."""
 
     def base_image(self) -> "Tensor":
         """Renders the base renderer's image, rounded to 8 bits: float32 [H, W, 3], multiples of 1/255."""

@@ -6,7 +6,7 @@ from typing import Any
 
 from scene_attack.errors import InvalidRequest, JobFailure, named
 from scene_attack.process import finite
-from scene_attack.rendering.declaration import RENDERERS, BuildRequest, Declaration
+from scene_attack.rendering.declaration import RENDERERS, SHORTEST_WAVE, BuildRequest, Declaration
 from scene_attack.rendering.plan import DEFAULT_TOLERANCE, Tolerance
 from scene_attack.rendering.protocol import BOUND_SLACK, Renderer
 from scene_attack.scenes.resolve import ResolvedScene
@@ -18,8 +18,10 @@ def build(
     base_renderer: str | None = None,
     groups: Sequence[str] | None = None,
     tolerance: Tolerance = DEFAULT_TOLERANCE,
+    wavelength: float = SHORTEST_WAVE,
 ) -> Renderer:
-    """Builds a registered renderer for attacks on `groups` (None: its default groups) within `tolerance`.
+    """Builds a registered renderer for attacks on `groups` (None: its default groups) within `tolerance`, where the
+    waves of groups on a lattice are at least `wavelength` long, in sizes of an object.
 
     `base_renderer` names the renderer that makes the image to be attacked, for a renderer that declares a base renderer
     (None: the declared name).
@@ -35,7 +37,7 @@ def build(
         base = build(scene, base_renderer or declaration.base_renderer, tolerance="exact")
     with named(f"renderer {renderer!r}"):
         built: Renderer = _class(declaration).build(
-            BuildRequest(scene, tuple(groups or declaration.default_groups), tolerance, base)
+            BuildRequest(scene, tuple(groups or declaration.default_groups), tolerance, base, wavelength)
         )
         if broken := _broken(declaration, built):
             raise JobFailure("internal", f"renderer {renderer!r} {broken}")

@@ -22,7 +22,7 @@ from scene_attack.attacks.request import VIEWS, Expectation
 from scene_attack.attacks.run import Verifier
 from scene_attack.errors import InvalidFields, InvalidRequest, at_field, named
 from scene_attack.rendering.color import to_bytes
-from scene_attack.rendering.declaration import RENDERERS
+from scene_attack.rendering.declaration import RENDERERS, SHORTEST_WAVE
 from scene_attack.rendering.factory import build
 from scene_attack.rendering.plan import Plan, Stage, Tolerance
 from scene_attack.rendering.protocol import Renderer
@@ -367,7 +367,14 @@ def lit_by_map(spec: JobSpec) -> bool:
 
 def _renderer(spec: JobSpec, scene: ResolvedScene, tolerance: Tolerance) -> Renderer:
     attack = spec.attack
-    return build(scene, attack.renderer, attack.base_renderer, moving_groups(attack), tolerance)
+    return build(
+        scene,
+        attack.renderer,
+        attack.base_renderer,
+        moving_groups(attack),
+        tolerance,
+        attack.wavelength or SHORTEST_WAVE,
+    )
 
 
 def moving_groups(attack: Attack) -> tuple[str, ...]:

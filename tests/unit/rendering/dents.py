@@ -4,9 +4,10 @@ import numpy as np
 from scipy.interpolate import BSpline
 
 from scene_attack.rendering.torch.bump import UNIT
-from scene_attack.rendering.torch.lattice import NODES, SPACING
+from scene_attack.rendering.torch.lattice import Lattice
 from scene_attack.scenes.mesh import FIT_RADIUS
 
+NODES, SPACING = Lattice.of(0.1).nodes, Lattice.of(0.1).spacing
 SPLINE = BSpline.basis_element([-2, -1, 0, 1, 2], extrapolate=False)
 SLOPE = SPLINE.derivative()
 PLACES = (np.arange(NODES) - 1) * SPACING - FIT_RADIUS

@@ -17,7 +17,7 @@ def test_the_built_in_renderers_are_found() -> None:
     assert RENDERERS["pyrender"].default_groups == papers
     assert RENDERERS["pyrender"].group_names == (*papers, "camera")
     assert RENDERERS["torch"].default_groups == ("normals", "illumination", "material")
-    of_torch = "normals illumination illumination_rgb material bump dials paint lamp translation rotation camera"
+    of_torch = "normals illumination illumination_rgb material bump dials paint lamp shape translation rotation camera"
     assert RENDERERS["torch"].group_names == tuple(of_torch.split())
 
 

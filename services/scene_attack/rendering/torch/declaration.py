@@ -15,6 +15,9 @@ from scene_attack.errors import InvalidRequest
 from scene_attack.rendering.declaration import CAMERA, ROTATION, TRANSLATION, Declaration, Group, labelled, register
 from scene_attack.text import did_you_mean
 
+FEW_DEGREES = 0.0873
+"""5° in radians."""
+
 TORCH = Declaration(
     name="torch",
     groups=(
@@ -62,7 +65,8 @@ TORCH = Declaration(
         ),
         Group(
             name="bump",
-            shape=("objects", "23", "23", "23"),
+            shape=("objects", "nodes", "nodes", "nodes"),
+            waves=True,
             unit="thousandths of the object's size (mm at 1 m): heights of cubic B-splines on a lattice in its frame",
             words="dents",
             explanation="the height of each object's surface, the same from every view",
@@ -87,7 +91,8 @@ TORCH = Declaration(
         ),
         Group(
             name="paint",
-            shape=("objects", "23", "23", "23", "3"),
+            shape=("objects", "nodes", "nodes", "nodes", "3"),
+            waves=True,
             unit="share of the surface, by channel, that the lightest (+) or darkest (−) printable colour covers: "
             "coefficients of cubic B-splines on a lattice in the object's frame",
             words="paint",
@@ -111,9 +116,38 @@ TORCH = Declaration(
             "lamp above the horizon, of up to the map's power and 10° to 40° in radius",
             by_default=False,
         ),
-        replace(TRANSLATION, by_default=False),
-        replace(ROTATION, by_default=False),
-        CAMERA,
+        Group(
+            name="shape",
+            shape=("objects", "nodes", "nodes", "nodes", "3"),
+            waves=True,
+            unit="thousandths of the object's size (mm at 1 m): displacements of its points by cubic B-splines on a "
+            "lattice in its frame",
+            words="shape",
+            explanation="where each point of an object's surface is, outline and shadow with it",
+            suggested_step=0.25,
+            suggested_limit=20.0,
+            moves=True,
+            natural_range="20 mm each way at a size of 1 m, in waves of at least 100 mm, nothing turned by more than "
+            "30° or longer or shorter by more than half",
+            by_default=False,
+        ),
+        replace(
+            TRANSLATION,
+            by_default=False,
+            natural_range="0.02 scene units along each axis: 1.5 % of the size of an object of scale 1",
+        ),
+        replace(
+            ROTATION,
+            by_default=False,
+            suggested_limit=FEW_DEGREES,
+            natural_range="5° about each axis",
+        ),
+        replace(
+            CAMERA,
+            suggested_limit=FEW_DEGREES,
+            natural_range="5° around the scene, up and down and in roll, and 0.087 scene units nearer or farther, 5 % "
+            "of the usual distance",
+        ),
     ),
     differentiable=True,
     method="fgsm",

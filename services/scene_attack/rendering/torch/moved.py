@@ -1,11 +1,11 @@
-"""The scene from another camera, or with its objects elsewhere: the torch renderer's groups `camera`, `translation` and
-`rotation`.
+"""The scene from another camera, or with its objects elsewhere or bent: the torch renderer's groups `camera`,
+`translation`, `rotation` and `shape`.
 
 Its images are those of a renderer of the scene as it is then, with a plan of its own. That takes a fifth of a second to
 make, so the last `KEPT` are kept. Light, material and what belongs to an object's surface are as in the scene itself.
 
-Gradients of the moved groups are central differences of images: surfaces appear and vanish at outlines, which no
-derivative of shading shows.
+Gradients of poses are central differences of images: surfaces appear and vanish at outlines, which no derivative of
+shading shows. Those of a shape, which has thousands of values, are by the normals inside the outlines alone.
 """
 
 from collections import OrderedDict
@@ -20,6 +20,7 @@ from torch.autograd.function import once_differentiable
 from scene_attack.errors import InvalidRequest, JobFailure
 from scene_attack.rendering.pose import MovingCamera
 from scene_attack.rendering.protocol import Parameters
+from scene_attack.rendering.torch.shape import Shape, limited
 from scene_attack.scenes.resolve import ResolvedScene
 from scene_attack.scenes.view import camera_pose, model_matrices
 
@@ -42,7 +43,7 @@ def places(scene: ResolvedScene) -> Parameters:
 
 
 def moved(scene: ResolvedScene, values: Mapping[str, Tensor]) -> ResolvedScene:
-    """The scene with other values of some of the moving groups. A floor stays where it is."""
+    """The scene with other values of some of the groups of poses. A floor stays where it is."""
     at = {group: value.double().numpy() for group, value in (places(scene) | dict(values)).items()}
     models, view = scene.models, scene.view
     if "translation" in values or "rotation" in values:
@@ -60,63 +61,81 @@ class Draws(Protocol):
         """The scene's own values by group."""
         ...
 
-    def render(self, parameters: Mapping[str, Tensor]) -> Tensor:
-        """Renders images [B, H, W, 3]."""
+    def still(self, parameters: Parameters, drawn: Tensor | None = None) -> Tensor:
+        """The image [H, W, 3] of the scene where it is, of values of the other groups; by the shape `drawn`, which it
+        has, it is differentiable."""
         ...
 
 
 class MovedScenes:
-    """Draws a scene that is moved. `own` is the renderer of the scene where it is, `make` makes that of another one."""
+    """Draws a scene that is moved. `own` is the renderer of the scene where it is, `make` makes that of another one,
+    given the shape that its objects have been given."""
 
-    def __init__(self, scene: ResolvedScene, own: Draws, make: Callable[[ResolvedScene], Draws]) -> None:
+    def __init__(self, scene: ResolvedScene, own: Draws, make: Callable[[ResolvedScene, Shape | None], Draws]) -> None:
         self._scene, self._own, self._make = scene, own, make
         self._start = places(scene)
-        self._kept: OrderedDict[str, Draws] = OrderedDict()
+        self._kept: OrderedDict[bytes, Draws] = OrderedDict()
+        self._last: tuple[Tensor, ResolvedScene] | None = None
 
     def image(self, place: Parameters, rest: Parameters) -> Tensor:
         """The image [H, W, 3] of values of moving groups, `place`, and of the other groups; differentiable by both.
 
         Raises ValueError for other normals than the scene's own from elsewhere: they belong to the pixels of one view.
         """
-        image = self._drawn(place, rest)
-        if any(value.requires_grad for value in place.values()):
+        bends = place.get("shape")
+        poses = {group: value for group, value in place.items() if group != "shape"}
+        drawn = None if bends is None else limited(bends.double())
+        image = self._drawn(poses, drawn, rest)
+        if any(value.requires_grad for value in poses.values()):
             still = {group: value.detach() for group, value in rest.items()}
-            sizes = [value.numel() for value in place.values()]
+            sizes = [value.numel() for value in poses.values()]
 
             def draw(values: Tensor) -> Tensor:
-                parts = zip(place.items(), torch.split(values, sizes), strict=True)
-                return self._drawn({group: part.view_as(value) for (group, value), part in parts}, still)
+                parts = zip(poses.items(), torch.split(values, sizes), strict=True)
+                at = {group: part.view_as(value) for (group, value), part in parts}
+                return self._drawn(at, None if drawn is None else drawn.detach(), still)
 
             zeros: Tensor = _Differences.apply(  # type: ignore[no-untyped-call]
-                torch.cat([value.flatten() for value in place.values()]), draw, image.detach()
+                torch.cat([value.flatten() for value in poses.values()]), draw, image.detach()
             )
             image = image + zeros
         return image
 
-    def _drawn(self, place: Parameters, rest: Parameters) -> Tensor:
-        at = {group: value.detach().cpu() for group, value in place.items()}
+    def _drawn(self, poses: Parameters, drawn: Tensor | None, rest: Parameters) -> Tensor:
+        at = {group: value.detach().cpu() for group, value in poses.items()}
         at = {group: value for group, value in at.items() if not torch.equal(value, self._start[group].to(value.dtype))}
-        if at and "normals" in rest:
+        is_bent = drawn is not None and bool(drawn.any())
+        if (at or is_bent) and "normals" in rest:
             own = self._own.initial()["normals"]
             if not torch.equal(rest["normals"].detach().cpu(), own):
                 raise ValueError("normals belong to the pixels of one view; they cannot be changed in a moved scene")
             rest = {group: value for group, value in rest.items() if group != "normals"}
-        renderer = self._at(at) if at else self._own
-        return renderer.render({group: value[None] for group, value in rest.items()})[0]
+        renderer = self._at(at, drawn.detach().cpu() if is_bent and drawn is not None else None)
+        return renderer.still(rest, drawn if drawn is not None and drawn.requires_grad else None)
 
-    def _at(self, place: Parameters) -> Draws:
-        """The renderer of the scene elsewhere: kept, or made."""
-        key = repr([(group, value.double().tolist()) for group, value in place.items()])
+    def _at(self, poses: Parameters, drawn: Tensor | None) -> Draws:
+        """The renderer of the scene elsewhere, in the shape `drawn`: kept, or made."""
+        if not poses and drawn is None:
+            return self._own
+        values = poses | ({} if drawn is None else {"shape": drawn})
+        key = b"".join(group.encode() + value.double().numpy().tobytes() for group, value in values.items())
         try:
-            renderer = self._kept.pop(key, None) or self._make(moved(self._scene, place))
+            renderer = self._kept.pop(key, None) or self._moved(poses, drawn)
         except InvalidRequest as error:
             raise JobFailure(
-                "internal", f"{', '.join(place)} left nothing to draw ({error.detail}); give `epsilon` or `bounds`"
+                "internal", f"{', '.join(values)} left nothing to draw ({error.detail}); give `epsilon` or `bounds`"
             ) from error
         self._kept[key] = renderer
         if len(self._kept) > KEPT:
             self._kept.popitem(last=False)
         return renderer
+
+    def _moved(self, poses: Parameters, drawn: Tensor | None) -> Draws:
+        if drawn is None:
+            return self._make(moved(self._scene, poses), None)
+        if self._last is None or not torch.equal(self._last[0], drawn):  # of one step's views all have the same shape
+            self._last = drawn, replace(self._scene, meshes=Shape(drawn).meshes(self._scene.meshes))
+        return self._make(moved(self._last[1], poses), Shape(drawn))
 
 
 class _Differences(torch.autograd.Function):

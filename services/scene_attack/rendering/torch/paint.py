@@ -18,7 +18,6 @@ from torch import Tensor
 
 from scene_attack.rendering.opengl.gbuffer import Fragments
 from scene_attack.rendering.torch.lattice import Places
-from scene_attack.scenes.resolve import ResolvedScene
 
 PRINTABLE = (0.03, 0.87)
 """Darkest and lightest linear reflectance of a channel. Offset printing on coated paper reaches L* = 16 in solid black,
@@ -33,14 +32,9 @@ class Paint:
     shown: Fragments
     places: Places
 
-    @classmethod
-    def of(cls, scene: ResolvedScene, shown: Fragments, device: torch.device) -> "Paint":
-        """The places of the surfaces `shown`."""
-        return cls(shown, Places.of(scene, shown, device))
-
     def colors(self, own: Tensor, coefficients: Tensor) -> Tensor:
         """Returns linear base colours [P, 3] of surfaces whose own are `own`, painted by `coefficients` [objects,
-        NODES, NODES, NODES, 3] in [−1, 1], of the same dtype. It is differentiable (once) in the coefficients."""
+        nodes, nodes, nodes, 3] in [−1, 1], of the same dtype. It is differentiable (once) in the coefficients."""
         amounts = self.places.values(coefficients)
         darkest, lightest = PRINTABLE
         middle, half = (lightest + darkest) / 2, (lightest - darkest) / 2

@@ -21,24 +21,25 @@ from torch import Tensor
 
 from scene_attack.process import describe, device
 from scene_attack.rendering.color import Canvas
-from scene_attack.rendering.declaration import BuildRequest, DeclaredRenderer
+from scene_attack.rendering.declaration import SHORTEST_WAVE, BuildRequest, DeclaredRenderer
 from scene_attack.rendering.kernels import compiled
 from scene_attack.rendering.opengl.gbuffer import GBuffer, rasterise
 from scene_attack.rendering.plan import DEFAULT_TOLERANCE, Item, Plan, Tolerance
 from scene_attack.rendering.pose import MovingCamera, seen_from
 from scene_attack.rendering.protocol import Parameters, Renderer
-from scene_attack.rendering.torch import bump, dials, dsbrdf, paint
+from scene_attack.rendering.torch import bump, dials, dsbrdf, paint, shape
 from scene_attack.rendering.torch.bump import Bump
 from scene_attack.rendering.torch.declaration import TORCH
 from scene_attack.rendering.torch.dsbrdf import MATERIAL_UNIT, layers, preset
 from scene_attack.rendering.torch.lamp import LOWEST, Lamp
-from scene_attack.rendering.torch.lattice import NODES
+from scene_attack.rendering.torch.lattice import Lattice, Places, own_points
 from scene_attack.rendering.torch.light import LIGHT_GROUPS, Illumination, directions, illumination, solid_angles
 from scene_attack.rendering.torch.moved import MovedScenes, places
 from scene_attack.rendering.torch.paint import Paint
 from scene_attack.rendering.torch.planner import compile_plan, looked_at, map_error
 from scene_attack.rendering.torch.shader import Recipe, Shader, Sky, Surface
 from scene_attack.rendering.torch.shading import Directions
+from scene_attack.rendering.torch.shape import Shape
 from scene_attack.rendering.torch.surfaces import VisibleSurfaces, regions, visibility, visible_surfaces
 from scene_attack.rendering.torch.table import MAX_ANGLE
 from scene_attack.rendering.variation import Variation
@@ -48,7 +49,7 @@ from scene_attack.scenes.resolve import ResolvedScene
 
 TURNED_INTO = {"bump": "normals", "dials": "material", "lamp": "illumination_rgb"}
 """The group whose values another one's are turned into, for the planner: it plans for any values of these."""
-ADDED = ("bump", "dials", "paint", "lamp")
+ADDED = ("bump", "dials", "paint", "lamp", "shape")
 """Groups that are 0 at the start, where they leave every bit of the image as it is without them."""
 
 
@@ -76,7 +77,7 @@ def surface_items(visible: VisibleSurfaces) -> Iterator[Item]:
 class TorchRenderer(DeclaredRenderer):
     """Renders a G-buffer under an environment map. Each of its groups is differentiable.
 
-    bump [objects, NODES, NODES, NODES]: heights of dents on a lattice in each object's frame, in thousandths of the
+    bump [objects, nodes, nodes, nodes]: heights of dents on a lattice in each object's frame, in thousandths of the
     object's size (scene_attack.rendering.torch.bump), which turn the normals of every view of it.
     normals [H, W, 2]: azimuth and polar angle in the camera's frame, radians (see `normals`). They are 0 and have no
     effect at pixels that no object covers.
@@ -86,7 +87,9 @@ class TorchRenderer(DeclaredRenderer):
     The sum is held at ≥ 0. Only requests that name this group attack it: the paper's light has one channel.
     dials [objects, 5]: roughness, gloss and tint of each object's material, in natural ranges
     (scene_attack.rendering.torch.dials), which turn it; 0 at the start.
-    paint [objects, NODES, NODES, NODES, 3]: shares of each object's surface, by channel, that the lightest or darkest
+    shape [objects, nodes, nodes, nodes, 3]: displacements of each object's points on that lattice, in thousandths of
+    its size (scene_attack.rendering.torch.shape), which move its outline and shadow; 0 at the start.
+    paint [objects, nodes, nodes, nodes, 3]: shares of each object's surface, by channel, that the lightest or darkest
     printable colour covers (scene_attack.rendering.torch.paint), on a lattice in its frame; 0 at the start.
     lamp [7]: turn, brightness and colour temperature of the map, and a lamp that is added to it, as shares of what a
     room could have (scene_attack.rendering.torch.lamp); 0 at the start.
@@ -103,16 +106,20 @@ class TorchRenderer(DeclaredRenderer):
         groups: Sequence[str] = TORCH.default_groups,
         tolerance: Tolerance = DEFAULT_TOLERANCE,
         seen: Tensor | None = None,
+        wavelength: float = SHORTEST_WAVE,
+        bent: Shape | None = None,
     ) -> None:
         """Plans the rendering of `scene` for attacks on `groups`. `gbuffer`: None rasterises it here.
 
         Only these groups may then be rendered with other values than the scene's own, unless `tolerance` is "exact".
         "exact" computes in float64 throughout; with a number images are float32. `seen` is the visibility of a renderer
-        of the same scene, so that it is found once; None: it is found here.
+        of the same scene, so that it is found once; None: it is found here. `wavelength`, in sizes of an object, is the
+        shortest of the waves of groups on a lattice. `bent` is the shape that the scene's meshes have been given.
 
         Raises InvalidRequest for an unknown material preset, and as `visibility` does.
         """
         dtype = torch.float64 if tolerance == "exact" else torch.float32
+        self._lattice, self._bent = Lattice.of(wavelength), bent
         self._attacked, self._dtype, self._device = tuple(groups), dtype, device()
         where = describe(self._device)
         shaded_by = compiled.backend() if self._device.type == "cpu" else "torch"
@@ -137,14 +144,15 @@ class TorchRenderer(DeclaredRenderer):
             "illumination": light.intensity,
             "illumination_rgb": torch.zeros_like(light.chroma),
             "material": torch.stack(materials).to(self._device) * MATERIAL_UNIT,
-            "bump": torch.zeros(n_objects, NODES, NODES, NODES, device=self._device),
+            "bump": self._lattice.zeros(n_objects),
             "dials": torch.zeros(n_objects, len(dials.NAMES), device=self._device),
-            "paint": torch.zeros(n_objects, NODES, NODES, NODES, 3, device=self._device),
+            "paint": self._lattice.zeros(n_objects, 3),
             "lamp": torch.zeros(7, device=self._device),
-            **{group: value.to(self._device) for group, value in places(scene).items()},
+            "shape": self._lattice.zeros(n_objects, 3),
+            **places(scene),
         }
         # Round to float32 whatever the dtype, so that the exact twin renders the same scene.
-        rounded = {group: value.to(torch.float32).to(torch.float64) for group, value in initial.items()}
+        rounded = {group: value.to(self._device, torch.float32).double() for group, value in initial.items()}
         self._initial = {group: value.to(dtype) for group, value in rounded.items()}
         # The floor, which is last, is no object: its material is no value of the group.
         self._initial["material"], self._fixed = self._initial["material"].tensor_split([n_objects])
@@ -224,7 +232,7 @@ class TorchRenderer(DeclaredRenderer):
     @classmethod
     def build(cls, request: BuildRequest) -> "TorchRenderer":
         """Rasterises the request's scene and makes its renderer."""
-        return cls(request.scene, None, request.groups, request.tolerance)
+        return cls(request.scene, None, request.groups, request.tolerance, wavelength=request.wavelength)
 
     @cached_property
     def plan(self) -> Plan:
@@ -235,19 +243,33 @@ class TorchRenderer(DeclaredRenderer):
 
     @cached_property
     def _elsewhere(self) -> MovedScenes:
-        """The renderers of the scene from other cameras and with its objects elsewhere."""
+        """The renderers of the scene from other cameras and with its objects elsewhere or in other shapes."""
         groups = tuple(group for group in self._attacked if group not in TORCH.moving_groups)
-        return MovedScenes(self._made_of[0], self, lambda scene: TorchRenderer(scene, None, groups, self._tolerance))
+        wavelength = 2 / self._lattice.cells
+
+        def make(scene: ResolvedScene, bent: Shape | None) -> TorchRenderer:
+            return TorchRenderer(scene, None, groups, self._tolerance, wavelength=wavelength, bent=bent)
+
+        return MovedScenes(self._made_of[0], self, make)
+
+    @cached_property
+    def _places(self) -> Places:
+        """Places of the surfaces on the lattices of their objects, where they are before these are bent."""
+        points, index, is_object = own_points(self._made_of[0], self._shaded[0], self._device)
+        if self._bent is not None:
+            points = self._bent.rest(points, index)
+        return Places.at(self._lattice, points, index, is_object)
 
     @cached_property
     def bump(self) -> Bump:
         """The places of the surfaces among the dents of their objects."""
-        return Bump.of(self._made_of[0], self._shaded[0], self._to_camera)
+        stretch = None if self._bent is None else self._bent.stretch(self._places)
+        return Bump.of(self._made_of[0], self._shaded[0], self._places, self._to_camera, stretch)
 
     @cached_property
     def paint(self) -> Paint:
         """The places of the surfaces among the paint of their objects."""
-        return Paint.of(self._made_of[0], self._shaded[0], self._device)
+        return Paint(self._shaded[0], self._places)
 
     @cached_property
     def _without_color(self) -> Canvas:
@@ -272,12 +294,14 @@ class TorchRenderer(DeclaredRenderer):
         """Returns the lowest and highest value of each group, {group: (low, high)}, broadcastable to it.
 
         Light is not negative; κ and γ stay in the ranges of `dsbrdf`; any angle is a normal, and angles are bounded so
-        that float32 still resolves them (see `normals`). Dents, dials, paint and lamps are bounded by what a thing
-        and a room could have (see `bump`, `dials`, `paint` and `lamp`).
+        that float32 still resolves them (see `normals`). Dents, shapes, dials, paint and lamps are bounded by what a
+        thing and a room could have (see `bump`, `shape`, `dials`, `paint` and `lamp`).
         """
         furthest = torch.tensor(MAX_ANGLE, dtype=self._dtype)
         lowest, highest = MovingCamera(self._made_of[0]).bounds
-        infinity, deepest = (torch.tensor(value, dtype=self._dtype) for value in (torch.inf, bump.LARGEST))
+        infinity, deepest, furthest_bent = (
+            torch.tensor(value, dtype=self._dtype) for value in (torch.inf, bump.LARGEST, shape.LARGEST)
+        )
         ranges = torch.tensor([dsbrdf.LOG_KAPPA_RANGE, dsbrdf.LOG_GAMMA_RANGE], dtype=self._dtype) * MATERIAL_UNIT
         return {
             "normals": (-furthest, furthest),
@@ -285,6 +309,7 @@ class TorchRenderer(DeclaredRenderer):
             "illumination_rgb": (-self._initial["illumination"][..., None].cpu(), infinity),
             "material": (ranges[:, :1], ranges[:, 1:]),
             "bump": (-deepest, deepest),
+            "shape": (-furthest_bent, furthest_bent),
             "dials": (self._dials[0].cpu().to(self._dtype), self._dials[1].cpu().to(self._dtype)),
             "paint": (-torch.ones((), dtype=self._dtype), torch.ones((), dtype=self._dtype)),
             "lamp": (torch.tensor(LOWEST, dtype=self._dtype), torch.ones(7, dtype=self._dtype)),
@@ -326,7 +351,13 @@ class TorchRenderer(DeclaredRenderer):
     @cached_property
     def _twin(self) -> "TorchRenderer":
         scene, gbuffer, seen = self._made_of
-        return self if self._is_exact else TorchRenderer(scene, gbuffer, tolerance="exact", seen=seen)
+        return (
+            self
+            if self._is_exact
+            else TorchRenderer(
+                scene, gbuffer, tolerance="exact", seen=seen, wavelength=2 / self._lattice.cells, bent=self._bent
+            )
+        )
 
     @property
     def failed_checks(self) -> int:
@@ -345,10 +376,17 @@ class TorchRenderer(DeclaredRenderer):
             return self._elsewhere.image(
                 place, {g: value for g, value in parameters.items() if g not in TORCH.moving_groups}
             )
+        return self.still(parameters)
+
+    def still(self, parameters: Parameters, drawn: Tensor | None = None) -> Tensor:
+        """The image [H, W, 3] of the scene where it is. `drawn` are the coefficients of the shape that it has, limited,
+        with a gradient that the image gets inside the outlines."""
         values = self._initial | parameters
         angles, intensity = self._canvas.covered(values["normals"]), values["illumination"].flatten()
         if self._turns is not None:
             angles = angles + self._turns
+        if drawn is not None:
+            angles = bump.tilted(angles, shape.slopes(self.bump, drawn - drawn.detach()))
         if "bump" in parameters:
             angles = self.bump.turned(angles, values["bump"])
         rgb = values["illumination_rgb"]

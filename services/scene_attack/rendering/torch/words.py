@@ -24,7 +24,7 @@ from scene_attack.rendering.physical_change import (
 )
 from scene_attack.rendering.pose import poses
 from scene_attack.rendering.protocol import Renderer
-from scene_attack.rendering.torch import bump, dials
+from scene_attack.rendering.torch import bump, dials, shape
 from scene_attack.rendering.torch.declaration import TORCH
 from scene_attack.rendering.torch.dsbrdf import (
     COSINE_FLOOR,
@@ -75,10 +75,12 @@ def worded(scene: ResolvedScene, renderer: Renderer, perturbation: Mapping[str, 
             first = not any(thing.change.group in MAP_GROUPS for thing in result)
             images = images_of_map(*maps(renderer, perturbation)) if first else []
             result += [lamp(change, images)] if group == "lamp" else light(group, change, images)
-        elif group in TORCH.moving_groups:
-            result += poses(scene, group, initial[group].double().numpy(), change.double().numpy())
         elif group == "bump":
             result += dents(scene, renderer, change)
+        elif group == "shape":
+            result += bent(scene, renderer, change)
+        elif group in TORCH.moving_groups:
+            result += poses(scene, group, initial[group].double().numpy(), change.double().numpy())
         elif group == "paint":
             result += painted(scene, renderer, change)
         elif group == "dials":
@@ -108,30 +110,18 @@ def dents(scene: ResolvedScene, renderer: Renderer, change: Tensor) -> Iterator[
     """Heights and slopes of the dents `change` (scene_attack.rendering.torch.bump), by object, where it is seen."""
     assert isinstance(renderer, TorchRenderer)
     places, change = renderer.bump, change.double()
-    shares = torch.maximum(
-        bump.steepness(change).amax((1, 2, 3)), change.abs().amax((1, 2, 3)) / bump.LARGEST
-    ).clamp_max(1.0)
+    shares = torch.maximum(bump.steepness(change), change.abs().amax((1, 2, 3)) / bump.LARGEST).clamp_max(1.0)
     heights, slopes = places.heights(change), places.tilts(change) * degrees(1)
     for k, name in enumerate(object_names(scene.description, scene.titles)):
-        seen, unit, size = places.shown.object_index == k, "mm", 1.0
+        seen, (size, at_size) = places.shown.object_index == k, millimetres(scene, k)
         if not bool(seen.any()) or not bool(change[k].any()):
             continue
-        mesh, at_size = scene.meshes[k], "if it is 1 m large"
-        if mesh.centimetres is not None:
-            size = 2 * FIT_RADIUS * mesh.centimetres * scene.description.objects[k].scale / 100
-            at_size = f"at its size of {number(100 * size)} cm"
         subject = f"surface of {name}"
-        typical, largest = _sizes("bump", subject, size * heights[seen], "height", unit)
+        typical, largest = _sizes("bump", subject, size * heights[seen], "height", "mm")
         steepest = PhysicalChange(
             group="bump", subject=subject, measure="steepest slope", value=float(slopes[seen].max()), unit="degrees"
         )
-        used = PhysicalChange(
-            group="bump",
-            subject=subject,
-            measure="share of the natural range",
-            value=100 * float(shares[k]),
-            unit="%",
-        )
+        used = share("bump", subject, float(shares[k]))
         most = abs(largest.value)
         dented = Change(
             group="bump",
@@ -142,6 +132,49 @@ def dents(scene: ResolvedScene, renderer: Renderer, change: Tensor) -> Iterator[
             images=[ChangeImage(file="dents.png", words=f"heights: {number(most)} mm is red, {number(-most)} mm blue")],
         )
         yield Worded(dented, [typical, largest, steepest, used])
+
+
+def bent(scene: ResolvedScene, renderer: Renderer, change: Tensor) -> Iterator[Worded]:
+    """Distances by which the shape `change` (scene_attack.rendering.torch.shape) moves points, by object, where it is
+    seen before they are moved."""
+    assert isinstance(renderer, TorchRenderer)
+    surfaces, change = renderer.bump, change.double()
+    shares = torch.maximum(shape.steepness(change), change.abs().amax((1, 2, 3, 4)) / shape.LARGEST).clamp_max(1.0)
+    distances = surfaces.places.values(shape.limited(change)).norm(dim=-1)
+    for k, name in enumerate(object_names(scene.description, scene.titles)):
+        seen, (unit_of, at_size) = surfaces.shown.object_index == k, millimetres(scene, k)
+        if not bool(seen.any()) or not bool(change[k].any()):
+            continue
+        subject = f"shape of {name}"
+        typical, largest = _sizes("shape", subject, unit_of * distances[seen], "distance", "mm")
+        used = share("shape", subject, float(shares[k]))
+        sentence = f"bent: its points moved by {number(typical.value)} mm in the root mean square, "
+        changed = Change(
+            group="shape",
+            subject=subject,
+            sentence=f"{sentence}{number(largest.value)} mm at most, {at_size}",
+            values=[from_zero(value, subject) for value in (typical, largest, used)],
+            images=[
+                ChangeImage(file="shape.png", words=f"distances: from 0, white, to {number(largest.value)} mm, red")
+            ],
+        )
+        yield Worded(changed, [typical, largest, used])
+
+
+def millimetres(scene: ResolvedScene, k: int) -> tuple[float, str]:
+    """Millimetres of a thousandth of the size of object `k`, and words for the size."""
+    mesh = scene.meshes[k]
+    if mesh.centimetres is None:
+        return 1.0, "if it is 1 m large"
+    size = 2 * FIT_RADIUS * mesh.centimetres * scene.description.objects[k].scale / 100
+    return size, f"at its size of {number(100 * size)} cm"
+
+
+def share(group: str, subject: str, used: float) -> PhysicalChange:
+    """How much of the group's natural range is used, in parts of it."""
+    return PhysicalChange(
+        group=group, subject=subject, measure="share of the natural range", value=100 * used, unit="%"
+    )
 
 
 def painted(scene: ResolvedScene, renderer: Renderer, change: Tensor) -> Iterator[Worded]:
@@ -157,13 +190,7 @@ def painted(scene: ResolvedScene, renderer: Renderer, change: Tensor) -> Iterato
         reflected = _sizes(
             "paint", subject, 100 * (after - before)[seen].flatten(), "change of a channel", "% of white"
         )
-        used = PhysicalChange(
-            group="paint",
-            subject=subject,
-            measure="share of the natural range",
-            value=100 * float(change[k].abs().max()),
-            unit="%",
-        )
+        used = share("paint", subject, float(change[k].abs().max()))
         sizes = [typical, largest, *reflected, used]
         of_object = Change(
             group="paint",
@@ -198,8 +225,9 @@ def dials_turned(scene: ResolvedScene, renderer: Renderer, change: Tensor) -> It
         used = max(abs(value) for value in own)
         sizes = [
             PhysicalChange(group="dials", subject=subject, measure=measure, value=value, unit="%")
-            for measure, value in zip([*measures, "share of the natural range"], [*percent, 100 * used], strict=True)
+            for measure, value in zip(measures, percent, strict=True)
         ]
+        sizes.append(share("dials", subject, used))
         words = [
             f"{number(abs(value))} % {more if value > 0 else less}"
             for value, (more, less) in zip(percent, DIAL_WORDS, strict=True)
@@ -249,17 +277,17 @@ def lamp(change: Tensor, images: list[ChangeImage]) -> Worded:
     before, after = (_numbers(values) for values in (torch.zeros_like(change), change))
     is_lit = float(change[3]) >= NOTICEABLE
     shown = list(LAMP_UNITS)[: 7 if is_lit else 4]
-    subject, used = "environment map", 100 * float(change[: len(shown)].abs().max())
+    subject, used = "environment map", float(change[: len(shown)].abs().max())
     values = [
         ChangedValue(name=f"{subject}, {name}", unit=LAMP_UNITS[name], before=before[name], after=after[name])
         for name in shown
     ]
     measures = {name: (after[name] - before[name], LAMP_UNITS[name]) for name in shown}
-    measures["share of the natural range"] = used, "%"
     sizes = [
         PhysicalChange(group="lamp", subject="map", measure=name, value=value, unit=unit)
         for name, (value, unit) in measures.items()
     ]
+    sizes.append(share("lamp", "map", used))
     values.append(from_zero(sizes[-1], subject))
     sentence = _noticeable(change, before, after) or "changed by less than 1 % of what a room could have"
     return Worded(Change(group="lamp", subject=subject, sentence=sentence, values=values, images=images), sizes)
@@ -345,7 +373,11 @@ def drawn(renderer: Renderer, perturbation: Mapping[str, Tensor]) -> dict[str, T
     images: dict[str, Tensor] = {}
     if "bump" in perturbation:
         assert isinstance(renderer, TorchRenderer)
-        images["dents.png"] = height_image(renderer, perturbation["bump"].double())
+        images["dents.png"] = height_image(renderer, renderer.bump.heights(perturbation["bump"].double()))
+    if "shape" in perturbation:
+        assert isinstance(renderer, TorchRenderer)
+        moved = renderer.bump.places.values(shape.limited(perturbation["shape"].double()))
+        images["shape.png"] = height_image(renderer, moved.norm(dim=-1))
     if "paint" in perturbation:
         assert isinstance(renderer, TorchRenderer)
         images["paint.png"] = paint_image(renderer, perturbation["paint"])
@@ -358,13 +390,14 @@ def drawn(renderer: Renderer, perturbation: Mapping[str, Tensor]) -> dict[str, T
     return images
 
 
-def height_image(renderer: TorchRenderer, change: Tensor) -> Tensor:
-    """An image of the heights of dents: white 0, red raised, blue pressed in, full at the largest; grey elsewhere."""
+def height_image(renderer: TorchRenderer, of_surfaces: Tensor) -> Tensor:
+    """An image of heights [P] of the surfaces: white 0, red raised, blue pressed in, full at the largest; grey where
+    there is none."""
     places = renderer.bump
     height, width = renderer.size
     heights = torch.full((height * width,), torch.nan, dtype=torch.float64)
     first = places.shown.rank == 0
-    heights[places.shown.pixels[first].cpu()] = places.heights(change)[first].cpu()
+    heights[places.shown.pixels[first].cpu()] = of_surfaces[first].cpu()
     heights = heights.view(height, width)
     return torch.where(heights.isnan()[..., None], GROUND, signed_colours(heights.nan_to_num())).to(torch.uint8)
 

@@ -13,13 +13,13 @@ from torch import Tensor
 import scene_attack as sa
 from scene_attack.process import options
 from scene_attack.rendering.torch.bump import LARGEST, UNIT, Bump, limited, raised
-from scene_attack.rendering.torch.lattice import NODES, SPACING, Places
+from scene_attack.rendering.torch.lattice import Lattice, Places
 from scene_attack.rendering.torch.renderer import TorchRenderer
 from scene_attack.scenes.library import Library
 from scene_attack.scenes.mesh import FIT_RADIUS, Mesh
 from scene_attack.scenes.resolve import ResolvedScene, resolve
 from tests.unit.rendering import dents, shapes
-from tests.unit.rendering.dents import random_dents
+from tests.unit.rendering.dents import NODES, SPACING, random_dents
 from tests.unit.rendering.torch.drill import attacked
 
 MATERIAL = {"material": "matte"}
@@ -200,9 +200,9 @@ def at_points(points: np.ndarray) -> Bump:
     """Surfaces at points [P, 3] of an object's frame that is the camera's."""
     bump = dented(one("primitive/sphere")).bump
     index = torch.zeros(len(points), dtype=torch.int64)
-    places = Places.at(torch.from_numpy(points), index, index == 0)
+    places = Places.at(Lattice.of(0.1), torch.from_numpy(points), index, index == 0)
     turns = torch.eye(3, dtype=torch.float64).expand(len(points), 3, 3)
-    return Bump(bump.shown, torch.zeros(len(points), 3, dtype=torch.float64), places, turns)
+    return Bump(bump.shown, torch.zeros(len(points), 3, dtype=torch.float64), places, turns, turns)
 
 
 # Limits, words and requests
@@ -211,7 +211,8 @@ def at_points(points: np.ndarray) -> Bump:
 def rough() -> Iterator[np.ndarray]:
     """Coefficients of one object that are as rough as they may be: random ones, a ridge, and single waves of many
     directions and lengths."""
-    yield random_dents(seed=1)[0]
+    for seed in (1, 12, 27, 28):  # of thirty the steepest between the places where slopes are limited
+        yield random_dents(seed=seed, largest=LARGEST)[0]
     ridge = np.full((NODES, NODES, NODES), -LARGEST)
     places = np.arange(NODES)
     ridge[np.add.outer(np.add.outer(places, places), places) > 33] = LARGEST

@@ -11,7 +11,6 @@ from torch import Tensor
 import scene_attack as sa
 from scene_attack.process import options
 from scene_attack.rendering.torch.dsbrdf import ILLUMINATION_MEAN
-from scene_attack.rendering.torch.lattice import NODES
 from scene_attack.rendering.torch.paint import PRINTABLE, cielab
 from scene_attack.rendering.torch.renderer import TorchRenderer
 from scene_attack.rendering.torch.words import paint_image
@@ -19,6 +18,7 @@ from scene_attack.scenes.library import Library
 from scene_attack.scenes.mesh import FIT_RADIUS, Mesh, MetallicRoughness, Part
 from scene_attack.scenes.resolve import ResolvedScene, resolve
 from tests.unit.rendering import paints, shapes
+from tests.unit.rendering.dents import NODES
 from tests.unit.rendering.paints import random_paint
 from tests.unit.rendering.shading import sphere_gbuffer, sphere_scene
 from tests.unit.rendering.torch.drill import attacked

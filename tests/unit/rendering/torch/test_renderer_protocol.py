@@ -8,7 +8,6 @@ import pytest
 import torch
 
 from scene_attack.errors import InvalidRequest
-from scene_attack.rendering.torch.lattice import NODES
 from tests.unit.rendering.shading import sky
 from tests.unit.rendering.torch.spheres import GROUPS, TIGHT, moved, sphere
 
@@ -53,15 +52,16 @@ def test_wrong_shapes_are_refused() -> None:
 def test_description_of_the_groups() -> None:
     renderer = sphere(tolerance=TIGHT)
     initial, bounds = renderer.initial(), renderer.bounds()
-    assert tuple(initial) == renderer.groups == (*GROUPS, "translation", "rotation", "camera")
+    assert tuple(initial) == renderer.groups == (*GROUPS, "shape", "translation", "rotation", "camera")
     assert {g: tuple(v.shape) for g, v in initial.items()} == {
         "normals": (12, 12, 2),
         "illumination": (4, 8),
         "illumination_rgb": (4, 8, 3),
         "material": (2, 3, 3, 2, 6),
-        "bump": (2, NODES, NODES, NODES),
+        "bump": (2, 23, 23, 23),
         "dials": (2, 5),
-        "paint": (2, NODES, NODES, NODES, 3),
+        "shape": (2, 23, 23, 23, 3),
+        "paint": (2, 23, 23, 23, 3),
         "lamp": (7,),
         "translation": (2, 3),
         "rotation": (2, 3),
