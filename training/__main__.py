@@ -23,6 +23,13 @@ Epochs = Annotated[
 Export = Annotated[
     bool, typer.Option("--export", help="Train no more: write weights and cards from the checkpoint as it is.")
 ]
+OneLook = Annotated[
+    bool,
+    typer.Option(
+        "--one-look",
+        help="Know one light and one material, as the paper's networks do; written as a folder for `targets add`.",
+    ),
+]
 LINE_SECONDS = 30.0
 """Time between lines where the standard error is no terminal."""
 
@@ -60,18 +67,28 @@ def split(
 
 @app.command(epilog="Example: [bold]python -m training alexnet --minutes 45[/bold]")
 def alexnet(
-    minutes: Minutes = None, epochs: Epochs = None, out: Out = OUT, seed: Seed = 0, export: Export = False
+    minutes: Minutes = None,
+    epochs: Epochs = None,
+    out: Out = OUT,
+    seed: Seed = 0,
+    export: Export = False,
+    one_look: OneLook = False,
 ) -> None:
     """Train AlexNet. A killed training goes on from its checkpoint."""
-    _train("alexnet", minutes, epochs, out, seed, export)
+    _train("alexnet", minutes, epochs, out, seed, export, one_look)
 
 
 @app.command(epilog="Example: [bold]python -m training resnet34 --epochs 40[/bold]")
 def resnet34(
-    minutes: Minutes = None, epochs: Epochs = None, out: Out = OUT, seed: Seed = 0, export: Export = False
+    minutes: Minutes = None,
+    epochs: Epochs = None,
+    out: Out = OUT,
+    seed: Seed = 0,
+    export: Export = False,
+    one_look: OneLook = False,
 ) -> None:
     """Train ResNet-34. A killed training goes on from its checkpoint."""
-    _train("resnet34", minutes, epochs, out, seed, export)
+    _train("resnet34", minutes, epochs, out, seed, export, one_look)
 
 
 @app.command(epilog="Example: [bold]python -m training iep --seconds-budget 3600[/bold]")
@@ -129,21 +146,24 @@ def iep(
         raise typer.Exit(1)
 
 
-def _train(name: str, minutes: float | None, epochs: int | None, out: Path, seed: int, export: bool) -> None:
+def _train(
+    name: str, minutes: float | None, epochs: int | None, out: Path, seed: int, export: bool, is_one_look: bool
+) -> None:
     from scene_attack.cli.console import err
     from scene_attack.cli.console import out as stdout
     from scene_attack.cli.specs import local_library
     from scene_attack.errors import InvalidRequest
-    from training.export import write
+    from training.export import write, write_target
     from training.loop import Report
     from training.split import committed
-    from training.training import RECIPES, Budget, Training, gather, load_trained
+    from training.training import RECIPES, Budget, Training, gather, load_trained, one_look
 
     if not export and (minutes is None) == (epochs is None):
         raise InvalidRequest("--minutes", "give either --minutes or --epochs")
     options = options_to_train()
-    library, recipe, chosen = local_library(options), RECIPES[name], committed()
-    checkpoint = out / f"{name}.checkpoint"
+    library, chosen = local_library(options), committed()
+    recipe = one_look(RECIPES[name]) if is_one_look else RECIPES[name]
+    checkpoint = out / f"{recipe.name}.checkpoint"
     with _telling() as said:
         if not export:
             data = gather(library, options.cache_dir, recipe, chosen.models("training"), seed, said)
@@ -159,6 +179,10 @@ def _train(name: str, minutes: float | None, epochs: int | None, out: Path, seed
             training.run(Budget(minutes, epochs), report)
             del data, training
         trained = load_trained(recipe, len(chosen.classes), checkpoint)
+        if is_one_look:
+            folder = write_target(recipe, trained, chosen, out)
+            stdout().print(f"scene-attack targets add {folder}", markup=False, highlight=False)
+            return
         written = write(recipe, trained, chosen, library, options.cache_dir, out, said)
     stdout().print(written.summary, markup=False, highlight=False)
 

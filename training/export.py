@@ -12,6 +12,7 @@ from typing import Any
 
 import safetensors.numpy
 import torch
+from safetensors.torch import save
 from torch import Tensor, nn
 from torch.nn import functional as F
 
@@ -176,6 +177,23 @@ def write(
     }
     cards = {name: model_card(facts), "furniture-views": data_card(split, recipe)}
     return Written.to(out, data, facts, cards, _summary(facts))
+
+
+def write_target(recipe: Recipe, trained: Trained, split: Split, out: Path) -> Path:
+    """Writes a trained network as a folder that `scene-attack targets add` takes, and returns the folder."""
+    folder, labels = out / recipe.name, list(split.classes)
+    network = architecture(recipe.network, len(labels), dequantize(quantize(weights(trained.network))))
+    card = {
+        "title": f"{TITLES[recipe.network]} trained on one look, {len(labels)} kinds of furniture",
+        "labels": labels,
+        "preprocessing": {"input_size": [INPUT, INPUT], "mean": list(MEAN), "std": list(SCALE)},
+        "architecture": recipe.network,
+        "licence": "Apache-2.0",
+        "source": f"trained by this project: {_command(recipe.network, trained)} --one-look",
+    }
+    disk.write(folder / "model.safetensors", save({k: v.contiguous() for k, v in network.state_dict().items()}))
+    disk.write(folder / "card.json", (json.dumps(card, indent=1) + "\n").encode())
+    return folder
 
 
 def architecture(name: str, classes: int, state: dict[str, Tensor]) -> nn.Module:

@@ -50,11 +50,19 @@ def looks(library: Library, count: int, seed: int) -> Tensor:
 
 def default_looks(library: Library, turns: int) -> Tensor:
     """Returns each renderer's look of the default scene, seen from `turns` sides: float32 [2 · turns, GRID², 6]."""
-    sides = [2 * pi * k / turns - pi for k in range(turns)]
-    maps = [environment_look(library, Environment(rotation=side), "matte", ELEVATION) for side in sides]
-    return torch.stack(
-        maps + [lamps_look(Lights().ambient, [default_lamp(side, ELEVATION)], ELEVATION) for side in sides]
-    )
+    lamps = [lamps_look(Lights().ambient, [default_lamp(side, ELEVATION)], ELEVATION) for side in _sides(turns)]
+    return torch.cat([environment_looks(library, turns, "matte"), torch.stack(lamps)])
+
+
+def environment_looks(library: Library, turns: int, material: str) -> Tensor:
+    """Returns the torch renderer's look of the default scene, of one material, seen from `turns` sides: float32
+    [turns, GRID², 6]."""
+    sides = _sides(turns)
+    return torch.stack([environment_look(library, Environment(rotation=side), material, ELEVATION) for side in sides])
+
+
+def _sides(turns: int) -> list[float]:
+    return [2 * pi * k / turns - pi for k in range(turns)]
 
 
 def environment_look(library: Library, light: Environment, material: str, elevation: float) -> Tensor:

@@ -8,7 +8,7 @@ layers and each pair of factors multiplied out, which gives AlexNet itself.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from math import cos, pi
 from pathlib import Path
 
@@ -24,7 +24,7 @@ from scene_attack.scenes.furniture import PREFIX
 from scene_attack.scenes.library import Library
 from scene_attack.targets.networks import CHANNELS, GRID, HIDDEN, ResNet
 from training.batches import as_in_default_scene, augmented, distort, normalised, plain, shade
-from training.looks import default_looks, environment_look, looks
+from training.looks import default_looks, environment_look, environment_looks, looks
 from training.loop import Report, Said, TrainingLoop, read
 from training.teacher import features_of
 from training.teacher import load as load_teacher
@@ -42,7 +42,8 @@ class Recipe:
 
     rate: the peak learning rate of AdamW. hints: weight of the loss on the teacher's features, which falls to 0 at
     half of the training. default_from: the progress from which most batches show the default scene of one of the
-    renderers, which is what the network is judged on.
+    renderers, which is what the network is judged on. one_look: all of them show it undistorted, by the torch renderer
+    in plastic, as networks are trained that know one light and one material; the paper's are.
     """
 
     network: str
@@ -57,6 +58,12 @@ class Recipe:
     views: int = 24
     looks: int = 256
     default_from: float = 0.5
+    one_look: bool = False
+
+    @property
+    def name(self) -> str:
+        """Its network, and how it is trained if that is not as those that ship."""
+        return f"{self.network}-one-look" if self.one_look else self.network
 
     def rate_at(self, progress: float) -> float:
         """Returns the learning rate at a progress in [0, 1]: a linear rise, then half a cosine down to 0."""
@@ -73,6 +80,11 @@ RECIPES = {
     "alexnet": Recipe("alexnet", batch=64, rate=1.5e-3, dropout=0.2),
     "resnet34": Recipe("resnet34", batch=64, rate=1.5e-3, hints=1.0),
 }
+
+
+def one_look(recipe: Recipe) -> Recipe:
+    """The recipe for networks that know one light and one material."""
+    return replace(recipe, one_look=True, views=8, looks=0, smoothing=0.0)
 
 
 @dataclass(frozen=True)
@@ -148,7 +160,7 @@ class Training:
         torch.manual_seed(int(random.integers(2**31)))  # dropout
         chosen = self._chosen()
         labels = self.data.labels[torch.from_numpy(chosen)]
-        images = normalised(self._images(chosen, progress, random))
+        images = normalised(self.images(chosen, progress, random))
         weight = recipe.hints_at(progress)
         with torch.autocast("cpu", dtype=torch.bfloat16):
             if self.head is not None and isinstance(self.network, ResNet):
@@ -164,9 +176,12 @@ class Training:
         right = float((logits.argmax(1) == labels).double().mean())
         return total, {"loss": float(loss.detach()), "right": right}
 
-    def _images(self, chosen: NDArray[np.int64], progress: float, random: np.random.Generator) -> Tensor:
+    def images(self, chosen: NDArray[np.int64], progress: float, random: np.random.Generator) -> Tensor:
         """Returns images [B, 3, h, w] in [0,1] of the chosen views."""
         views = self.data.views
+        if self.recipe.one_look:
+            looks = self.data.default_looks
+            return shade(views, looks, as_in_default_scene(views, chosen, len(looks), random))
         if progress >= self.recipe.default_from and random.random() < DEFAULT_SCENES:
             looks = self.data.default_looks
             return distort(shade(views, looks, as_in_default_scene(views, chosen, len(looks), random)), random, CALM)
@@ -344,7 +359,11 @@ def gather(
     drawn = joined(parts)
     labels = torch.tensor([number for number, _ in models]).repeat_interleave(recipe.views)
     said("tabulating looks", 0, 1, "")
-    tables, default = looks(library, recipe.looks, seed), default_looks(library, TURNS)
+    if recipe.one_look:
+        default = environment_looks(library, TURNS, "plastic")
+        tables = default[:0]
+    else:
+        tables, default = looks(library, recipe.looks, seed), default_looks(library, TURNS)
     hints = None if recipe.hints == 0 else _hints(library, drawn, said)
     return Data(drawn, labels, tables, default, hints)
 

@@ -592,11 +592,11 @@ def _named(network: Any, options: Options, name: str = MODULE) -> tuple[str, Tar
 
 
 def _info(made: Target) -> TargetInfo:
-    """The card of a target of this process. ImageNet's labels are known by their words."""
+    """The card of a target of this process."""
     from scene_attack.targets.custom.loading import describe
-    from scene_attack.targets.labels import imagenet_labels
+    from scene_attack.targets.image_networks import vocabulary_of
 
-    return describe(made.name, made, "imagenet" if tuple(made.labels) == imagenet_labels() else "custom")
+    return describe(made.name, made, vocabulary_of(tuple(made.labels)))
 
 
 def _hashes(made: Target) -> tuple[str | None, ...]:

@@ -170,6 +170,11 @@ def test_the_truth_is_what_an_attack_takes_for_it() -> None:
     assert sa.truth(sa.Scene(objects=[sa.Object(**piano)]), "efficientnet-lite0") == ("grand piano",)
     assert sa.truth({"objects": [piano, ball]}, imagenet) == ()
     assert sa.truth({"objects": [piano]}, sa.target(network(), **SMALL)) == ()
+    kinds = ("chair sofa table cabinet lamp door plant tree cup", "hand tool", "animal car cycle socket")
+    labels = [*kinds[0].split(), kinds[1], *kinds[2].split()]  # those of the furniture networks, known by their words
+    couch = {"objects": [{"mesh": "furniture/couch"}]}
+    assert sa.truth(couch, sa.target(network(14), labels=labels, **SMALL)) == ("sofa",)
+    assert sa.truth(couch, sa.target(network(14), labels=labels[::-1], **SMALL)) == ()
     with pytest.raises(InvalidRequest, match="there is no target 'nobody'"):
         sa.truth({"objects": [piano]}, "nobody")
 

@@ -24,6 +24,7 @@ from scene_attack.scenes.source import SOURCES
 from scene_attack.strict import NotJson, read_json
 from scene_attack.targets.architectures import ARCHITECTURES
 from scene_attack.targets.custom.card import NOTHING, AllowList, Card
+from scene_attack.targets.image_networks import vocabulary_of
 from scene_attack.targets.info import TARGETS, UNAVAILABLE, RegisteredTarget, TargetInfo
 from scene_attack.targets.labels import imagenet_labels
 from scene_attack.text import there_are
@@ -149,7 +150,7 @@ def read_folder(folder: Path, allowed: AllowList, name: str) -> RegisteredTarget
         differentiable=_differentiable(file, card),
         source=card.source,
         licence=card.licence,
-        vocabulary="imagenet" if card.labels == "imagenet" else "custom",
+        vocabulary=vocabulary_of(labels),
         card_sha256=digest,
     )
 

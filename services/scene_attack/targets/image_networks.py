@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from scene_attack.targets.architectures import register_architecture
-from scene_attack.targets.info import Published, TargetInfo, register, shipped
+from scene_attack.targets.info import Published, TargetInfo, Vocabulary, register, shipped
 from scene_attack.targets.labels import imagenet_labels
 
 if TYPE_CHECKING:
@@ -93,6 +93,13 @@ def facts(name: str) -> dict[str, Any]:
 def furniture_labels(name: str) -> tuple[str, ...]:
     """Returns the labels of a network that ships with the project, which are kinds of furniture."""
     return tuple(facts(name)["labels"])
+
+
+def vocabulary_of(labels: tuple[str, ...]) -> Vocabulary:
+    """What a network's labels mean, known by their words: ImageNet's, or those of the furniture networks."""
+    if labels == imagenet_labels():
+        return "imagenet"
+    return "furniture-14" if labels == furniture_labels(ALEXNET_FURNITURE.name) else "custom"
 
 
 def furniture_card(name: str, title: str) -> TargetInfo:

@@ -1,14 +1,18 @@
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 
 from scene_attack.errors import InvalidRequest
+from scene_attack.runs.set_up import read_folder
 from scene_attack.targets.architectures import fill_by_name
+from scene_attack.targets.custom.card import NOTHING
 from scene_attack.targets.weights_file import dequantize, quantize
-from training.batches import shade
-from training.export import ARCHITECTURES
-from training.training import RECIPES, Budget, TrainableAlexNet, Training, gather, load_trained, weights
+from training.batches import normalised, shade
+from training.export import ARCHITECTURES, architecture, write_target
+from training.split import committed
+from training.training import RECIPES, Budget, TrainableAlexNet, Training, gather, load_trained, one_look, weights
 
 pytestmark = pytest.mark.slow
 
@@ -156,3 +160,29 @@ def test_hints_are_uncorrelated_and_of_unit_variance(library, tmp_path):
     before = training.head.weight.clone()
     training.run(Budget(epochs=1), lambda _: None)
     assert not torch.equal(training.head.weight, before)
+
+
+def test_one_look_shows_one_light_and_one_material(library, tmp_path):
+    """Every image of a view is that view, moved or mirrored, in plastic under the default map: only the light's side
+    differs."""
+    recipe = replace(one_look(RECIPES["alexnet"]), views=2, batch=4)
+    data = gather(library, tmp_path, recipe, MODELS, 0, lambda *_: None)
+    assert (len(data.looks), len(data.default_looks)) == (0, 24)
+    training = Training(recipe, len(MODELS), data, 0, tmp_path / "a")
+    shown = training.images(np.arange(4), 0.0, np.random.default_rng(0))
+    again = training.images(np.arange(4), 0.9, np.random.default_rng(0))
+    assert torch.equal(shown, again)
+    ground = shown.flatten(2)[..., 0]
+    assert torch.equal(ground, ground[:1, :1].expand_as(ground))
+    training.run(Budget(epochs=1), lambda _: None)
+    trained = load_trained(recipe, 2, tmp_path / "a")
+    folder = write_target(
+        recipe, trained, committed().model_copy(update={"classes": ("sofa", "chair")}), tmp_path / "out"
+    )
+    found = read_folder(folder, NOTHING, "trained")
+    assert found.info.vocabulary == "custom"
+    images = torch.rand(3, 112, 112, 3, generator=torch.Generator().manual_seed(0))
+    alone = architecture("alexnet", 2, dequantize(quantize(weights(trained.network))))
+    with torch.no_grad():
+        wanted = alone(normalised(images.permute(0, 3, 1, 2)))
+        assert torch.allclose(found.load(torch.float32).logits(images), wanted, atol=1e-4)
