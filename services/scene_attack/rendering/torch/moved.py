@@ -104,23 +104,21 @@ class MovedScenes:
     def _drawn(self, poses: Parameters, drawn: Tensor | None, rest: Parameters) -> Tensor:
         at = {group: value.detach().cpu() for group, value in poses.items()}
         at = {group: value for group, value in at.items() if not torch.equal(value, self._start[group].to(value.dtype))}
-        is_bent = drawn is not None and bool(drawn.any())
-        if (at or is_bent) and "normals" in rest:
+        shape = Shape(drawn.detach().cpu()) if drawn is not None and bool(drawn.any()) else None
+        if (at or shape) and "normals" in rest:
             own = self._own.initial()["normals"]
             if not torch.equal(rest["normals"].detach().cpu(), own):
                 raise ValueError("normals belong to the pixels of one view; they cannot be changed in a moved scene")
             rest = {group: value for group, value in rest.items() if group != "normals"}
-        renderer = self._at(at, drawn.detach().cpu() if is_bent and drawn is not None else None)
+        renderer = self._at(at, shape) if at or shape else self._own
         return renderer.still(rest, drawn if drawn is not None and drawn.requires_grad else None)
 
-    def _at(self, poses: Parameters, drawn: Tensor | None) -> Draws:
-        """The renderer of the scene elsewhere, in the shape `drawn`: kept, or made."""
-        if not poses and drawn is None:
-            return self._own
-        values = poses | ({} if drawn is None else {"shape": drawn})
+    def _at(self, poses: Parameters, shape: Shape | None) -> Draws:
+        """The renderer of the scene elsewhere or in another shape: kept, or made."""
+        values = poses if shape is None else poses | {"shape": shape.drawn}
         key = b"".join(group.encode() + value.double().numpy().tobytes() for group, value in values.items())
         try:
-            renderer = self._kept.pop(key, None) or self._moved(poses, drawn)
+            renderer = self._kept.pop(key, None) or self._moved(poses, shape)
         except InvalidRequest as error:
             raise JobFailure(
                 "internal", f"{', '.join(values)} left nothing to draw ({error.detail}); give `epsilon` or `bounds`"
@@ -130,12 +128,12 @@ class MovedScenes:
             self._kept.popitem(last=False)
         return renderer
 
-    def _moved(self, poses: Parameters, drawn: Tensor | None) -> Draws:
-        if drawn is None:
+    def _moved(self, poses: Parameters, shape: Shape | None) -> Draws:
+        if shape is None:
             return self._make(moved(self._scene, poses), None)
-        if self._last is None or not torch.equal(self._last[0], drawn):  # of one step's views all have the same shape
-            self._last = drawn, replace(self._scene, meshes=Shape(drawn).meshes(self._scene.meshes))
-        return self._make(moved(self._last[1], poses), Shape(drawn))
+        if self._last is None or not torch.equal(self._last[0], shape.drawn):  # all views of a step have the same shape
+            self._last = shape.drawn, replace(self._scene, meshes=shape.meshes(self._scene.meshes))
+        return self._make(moved(self._last[1], poses), shape)
 
 
 class _Differences(torch.autograd.Function):

@@ -9,7 +9,7 @@ half. The triangles are divided first (`divided`), so that flat ones bend too.
 
 Gradients are those inside the outlines: a further displacement δd turns the normal of each point as a height n·δd over
 the surface does (`bump.raised`), to first order. That another point is then seen through a pixel, that outlines move
-and that shadows do is left out of the gradient, and in the image.
+and that shadows do is in the image, and left out of its gradient.
 """
 
 from dataclasses import dataclass, replace
