@@ -273,7 +273,7 @@ class Drawing:
         corners: dict[int, Array] = {}
         self.pieces: list[Piece] = []
         self.points: list[Array] = []
-        """Corners of each object, homogeneous [4, V], each once."""
+        """Corners of each object, homogeneous [4, V]."""
         for index, mesh in enumerate(meshes):
             if id(mesh) not in uploads:
                 wound = outsides(mesh) if watertight else [(part.faces, 0) for part in mesh.parts]
@@ -281,7 +281,7 @@ class Drawing:
                     _upload(index, part, np.ascontiguousarray(faces, np.int32), count, textures)
                     for part, (faces, count) in zip(mesh.parts, wound, strict=True)
                 ]
-                corners[id(mesh)] = _corners(mesh)
+                corners[id(mesh)] = _corners(mesh, watertight)
             self.pieces += [replace(piece, index=index) for piece in uploads[id(mesh)]]
             self.points.append(corners[id(mesh)])
         # What pyrender's Renderer._update_context asks of a scene.
@@ -297,9 +297,10 @@ def closed_drawing(meshes: tuple[Mesh, ...]) -> Drawing:
     return Drawing(meshes, watertight=True)
 
 
-def _corners(mesh: Mesh) -> Array:
-    """Returns a mesh's vertices, each once, homogeneous [4, V]."""
-    vertices = np.unique(np.concatenate([part.vertices for part in mesh.parts]), axis=0).astype(np.float64)
+def _corners(mesh: Mesh, once: bool) -> Array:
+    """Returns a mesh's vertices, homogeneous [4, V]; `once`: each once, which pays for a mesh that is drawn often."""
+    vertices = np.concatenate([part.vertices for part in mesh.parts])
+    vertices = (np.unique(vertices, axis=0) if once else vertices).astype(np.float64)
     return np.ascontiguousarray(np.append(vertices, np.ones((len(vertices), 1)), axis=1).T)
 
 

@@ -482,12 +482,14 @@ def compile_plan(
     size: tuple[int, int],
     ignored: Iterable[Item] = (),
     n_covered: int | None = None,
+    few_images: bool = False,
 ) -> tuple[list[Recipe], Plan]:
     """Chooses a recipe for each object or layer; returns the recipes and the plan that describes them.
 
     `illumination` [D] holds the scene's own intensities; `size` is the image's height and width; `ignored` are items of
     what the scene says of its surfaces and no recipe uses; `n_covered` is the number of covered pixels where some show
-    several surfaces. The choice is deterministic.
+    several surfaces; with `few_images` no table is made, which would cost more than it saves. The choice is
+    deterministic.
     """
     recipes, items, stages, gradients = [], [], [], []
     covered = {surface.name: len(surface.angles) for surface in surfaces}
@@ -517,10 +519,11 @@ def compile_plan(
             needed, left_out = _needed(surface, sky, illumination, moving, own, alike)
             items += left_out
             left = own - sum(item.error for item in left_out)
-            recipe, chosen = _cheapest(surface, sky, illumination, moving, left, needed)
+            recipe, chosen = _cheapest(surface, sky, illumination, moving, left, needed, few_images)
             stages += chosen
             exact = exact_recipe(sky, surface.material.shape[1])
-            gradients += gradient_errors(surface, sky, illumination, moving, recipe, exact)
+            if not few_images:
+                gradients += gradient_errors(surface, sky, illumination, moving, recipe, exact)
         recipes.append(recipe)
     return recipes, Plan.of("torch", groups, size, tolerance, items, stages, gradients)
 
@@ -573,7 +576,13 @@ def _directions(surface: Surface, sky: Sky, illumination: Tensor, groups: Sequen
 
 
 def _cheapest(
-    surface: Surface, sky: Sky, illumination: Tensor, groups: Sequence[str], left: float, needed: Recipe
+    surface: Surface,
+    sky: Sky,
+    illumination: Tensor,
+    groups: Sequence[str],
+    left: float,
+    needed: Recipe,
+    few_images: bool,
 ) -> tuple[Recipe, list[Stage]]:
     """Returns the cheapest recipe whose estimated error is within `left`, what the items leave of the tolerance, and
     its stages."""
@@ -593,6 +602,8 @@ def _cheapest(
         why = "the viewer is near" if surface.visibility is None else "objects hide part of the light"
         why += ": radiance depends on the pixel, not on its normal alone"
         return direct, [radiance_stage(surface, direct, pixels, why, rounding)]
+    if few_images:
+        return direct, [radiance_stage(surface, direct, pixels, "a table would not pay for few images", rounding)]
     measured = MeasuredErrors(surface, sky, illumination, groups, needed)
     why = "a table would cost more"
     limit = (left - rounding) / HEADROOM

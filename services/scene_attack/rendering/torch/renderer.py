@@ -108,13 +108,15 @@ class TorchRenderer(DeclaredRenderer):
         seen: Tensor | None = None,
         wavelength: float = SHORTEST_WAVE,
         bent: Shape | None = None,
+        few_images: bool = False,
     ) -> None:
         """Plans the rendering of `scene` for attacks on `groups`. `gbuffer`: None rasterises it here.
 
         Only these groups may then be rendered with other values than the scene's own, unless `tolerance` is "exact".
         "exact" computes in float64 throughout; with a number images are float32. `seen` is the visibility of a renderer
         of the same scene, so that it is found once; None: it is found here. `wavelength`, in sizes of an object, is the
-        shortest of the waves of groups on a lattice. `bent` is the shape that the scene's meshes have been given.
+        shortest of the waves of groups on a lattice. `bent` is the shape that the scene's meshes have been given. With
+        `few_images` the plan prepares nothing that only many images would pay for.
 
         Raises InvalidRequest for an unknown material preset, and as `visibility` does.
         """
@@ -218,9 +220,9 @@ class TorchRenderer(DeclaredRenderer):
                 dict.fromkeys(TURNED_INTO.get(group, group) for group in groups if group not in TORCH.moving_groups)
             )
             hardest = [*self._hardest(surfaces, rounded["material"])]
-            return compile_plan(hardest, sky, intensity, planned, tolerance, self.size, items, n_pixels)
+            return compile_plan(hardest, sky, intensity, planned, tolerance, self.size, items, n_pixels, few_images)
 
-        what = "recipes", self._attacked, tolerance
+        what = "recipes", self._attacked, tolerance, few_images
         recipes, plan = scene.once(what, compiled_plan) if is_own else compiled_plan()
         self.shaders = [
             Shader(recipe, sky, surface, intensity) for recipe, surface in zip(recipes, surfaces, strict=True)
@@ -248,7 +250,9 @@ class TorchRenderer(DeclaredRenderer):
         wavelength = 2 / self._lattice.cells
 
         def make(scene: ResolvedScene, bent: Shape | None) -> TorchRenderer:
-            return TorchRenderer(scene, None, groups, self._tolerance, wavelength=wavelength, bent=bent)
+            return TorchRenderer(
+                scene, None, groups, self._tolerance, wavelength=wavelength, bent=bent, few_images=True
+            )
 
         return MovedScenes(self._made_of[0], self, make)
 

@@ -31,9 +31,9 @@ LARGEST = 20.0
 STEEPEST = sin(radians(27.0))
 """Largest Frobenius norm of ∇d at the places where it is limited (`lattice.limited`), so nowhere above sin 30°. With
 ∇d = G the old normal is along n' + Gᵀn', which is at most asin |G| from the new one, n'."""
-EDGE = 0.25
-"""Longest edge of the triangles, in cells: an eighth of the shortest wave, between whose ends a straight line is at
-most 8 % of the wave's height off."""
+EDGE = 1 / 3
+"""Longest edge of the triangles, in cells: a sixth of the shortest wave, between whose ends a straight line is at most
+14 % of the wave's height off."""
 NEARLY = 1e-8 * FIT_RADIUS
 """Distance, scene units, to which `Shape.rest` finds points: less than the depths of an image resolve."""
 MOST_STEPS = 40
@@ -53,8 +53,8 @@ def steepness(coefficients: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class Shape:
-    """The displacement of each object that has the coefficients `drawn`, float64 [objects, nodes, nodes, nodes, 3], as
-    `limited` returns them."""
+    """The displacement of each object that has the coefficients `drawn` [objects, nodes, nodes, nodes, 3], as `limited`
+    returns them."""
 
     drawn: Tensor
 
@@ -74,20 +74,21 @@ class Shape:
         )
 
     def _bent(self, part: Part, k: int) -> Part:
-        points, normals = (torch.from_numpy(of).double() for of in (part.vertices, part.normals))
+        points, normals = torch.from_numpy(part.vertices).double(), torch.from_numpy(part.normals)
         places = Places.on(Lattice.under(self.drawn), points, k)
-        stretch = self.stretch(places)
+        vertices = Shape(self.drawn.float())  # as vertices are
+        stretch = vertices.stretch(places)
         x, y, z = stretch.unbind(-1)
         cofactors = torch.stack([torch.linalg.cross(*of) for of in ((y, z), (z, x), (x, y))], dim=-1)  # along J⁻ᵀ
         material = part.metallic_roughness
         if material is not None:
-            along, side = torch.from_numpy(material.tangents).double().tensor_split([3], dim=1)
+            along, side = torch.from_numpy(material.tangents).tensor_split([3], dim=1)
             tangents = torch.cat([_turned(stretch, along), side], dim=1)
-            material = replace(material, tangents=tangents.float().numpy())
+            material = replace(material, tangents=tangents.numpy())
         return replace(
             part,
-            vertices=(points + self.displaced(places)).float().numpy(),
-            normals=_turned(cofactors, normals).float().numpy(),
+            vertices=(points + vertices.displaced(places)).float().numpy(),
+            normals=_turned(cofactors, normals).numpy(),
             metallic_roughness=material,
         )
 
@@ -98,7 +99,7 @@ class Shape:
     def stretch(self, places: Places) -> Tensor:
         """Jacobians J [P, 3, 3] of where points go, in the objects' frames."""
         gradients = places.gradients(self.drawn.to(places.within.device)) * UNIT
-        return torch.eye(3, dtype=torch.float64, device=gradients.device) + gradients.mT
+        return torch.eye(3).to(gradients) + gradients.mT
 
     def rest(self, points: Tensor, index: Tensor) -> Tensor:
         """The points float64 [P, 3] of the objects `index` int64 [P] before they were displaced to `points`.

@@ -53,6 +53,16 @@ def test_a_moved_scene_is_the_scene_that_is_described_so(scene: dict[str, Any], 
     assert torch.equal(image, own.render(shared | ELSEWHERE))  # which is kept by now
 
 
+def test_no_table_is_made_for_the_few_images_of_a_moved_scene() -> None:
+    """Its images are then those of sums over directions, to rounding; the scene itself has tables."""
+    scene = described(PLACE, VIEW | {"size": (96, 96)})
+    tables, none = (TorchRenderer(scene, groups=("bump",), tolerance=0.01, few_images=few) for few in (False, True))
+    found = [[recipe.method for recipe in (one.recipe for one in renderer.shaders)] for renderer in (tables, none)]
+    assert found == [["cached_table"] * len(found[0]), ["summed"] * len(found[1])]
+    difference = float((none.render({}) - none.exact().render({})).abs().max())
+    assert difference < 1e-5 < float((tables.render({}) - tables.exact().render({})).abs().max())
+
+
 def test_at_the_scenes_own_place_it_is_the_scene_itself() -> None:
     own = TorchRenderer(described(PLACE, {"azimuth": 0.3, "elevation": -0.1}), groups=tuple(ELSEWHERE))
     start = {group: own.initial()[group][None] for group in ELSEWHERE}
