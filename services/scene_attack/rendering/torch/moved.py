@@ -2,7 +2,8 @@
 `translation`, `rotation` and `shape`.
 
 Its images are those of a renderer of the scene as it is then, with a plan of its own. That takes a tenth of a second to
-make, so the last `KEPT` are kept; no table pays for the few images of each. Light, material and what belongs to an object's surface are as in the scene itself.
+make, so the last `KEPT` are kept; no table pays for the few images of each. Light, material and what belongs to an
+object's surface are as in the scene itself.
 
 Gradients of poses are central differences of images: surfaces appear and vanish at outlines, which no derivative of
 shading shows. Those of a shape, which has thousands of values, are by the normals inside the outlines alone.
