@@ -3,7 +3,7 @@
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from math import sqrt
+from math import ceil, sqrt
 from pathlib import Path
 from time import monotonic
 from typing import Any, Literal, Self
@@ -99,10 +99,16 @@ class Verifier:
         return bool(goal.fooled(self.logits(self.image(perturbation))))
 
 
+CONFIRMING = 16
+"""Variations, of the last steps, that end an attack over a range if the goal is met under all: where it is met under
+less than 83 % of the range, all of 16 meet it by chance in less than 5 % of the cases."""
+
+
 @dataclass(frozen=True)
 class Best:
     """The perturbation to store: the verified one, else the last that met the goal inside the loop, else the one with
-    the smallest advantage. With an expectation it is the one whose goal is met under most variations.
+    the smallest advantage. With an expectation it is the one by which the goal was met under most of the last
+    `CONFIRMING` variations.
     """
 
     step: int
@@ -235,32 +241,49 @@ class AttackRun:
     def record(self, evaluation: Evaluation) -> None:
         """Adds a row to the trace, keeps the best perturbation, and verifies one whose image meets the goal.
 
-        With an expectation the goal must be met under all variations of the step. Truncation makes image and scene
-        disagree: the verifier may refuse what fooled the network here, and the attack then goes on.
+        With an expectation the goal must be met under all of the last `CONFIRMING` variations. Truncation makes image
+        and scene disagree: the verifier may refuse what fooled the network here, and the attack then goes on.
         """
         fooled = bool(self.problem.goal.fooled(evaluation.scores))
         row = self.row(evaluation)
+        self.trace.append(row)
         self.ever_truncated |= evaluation.truncated.cpu()
-        if self.replaces_best(row, fooled):
+        if self.replaces_best(fooled):
             detached = evaluation.detached()
             self.best = Best(
                 self.step, detached.delta.clone(), detached.saved.cpu().clone(), detached.scores.cpu().clone()
             )
         self.fooled |= fooled
-        if fooled and row.share in (None, 1.0):
+        if fooled and (row.share is None or self.confirmed(self.step) == 1.0):
             self.verified = self.verifier.fooled(self.stored, self.problem.goal)
-        self.trace.append(row)
         self.on_row(row)
         self.stopped = self.stop_reason()
 
-    def replaces_best(self, row: TraceRow, fooled: bool) -> bool:
-        """Whether the perturbation of a row is to be stored in place of the best so far."""
+    def replaces_best(self, fooled: bool) -> bool:
+        """Whether the perturbation of the last row is to be stored in place of the best so far."""
         if self.best is None:
             return True
-        better = rank(row) >= rank(self.trace[self.best.step])
-        if row.share is not None:
+        better = self.rank(self.step) >= self.rank(self.best.step)
+        if self.trace[self.step].share is not None:
             return better
         return fooled or (better and not self.fooled)
+
+    def rank(self, step: int) -> tuple[bool, float, float]:
+        """The quality of a step's perturbation as a sort key. Without an expectation it is the advantage alone."""
+        row = self.trace[step]
+        if row.share is None:
+            return False, 0.0, -row.advantage
+        return row.advantage < 0, self.confirmed(step), -row.objective
+
+    def confirmed(self, step: int) -> float:
+        """The share of the last `CONFIRMING` variations under which the goal was met: those of the step and of those
+        before it in the same start. What is missing at its beginning counts as not met."""
+        assert self.problem.expectation is not None
+        steps = ceil(CONFIRMING / self.problem.expectation.samples)
+        rows = [
+            row for row in self.trace[max(0, step + 1 - steps) : step + 1] if row.restart == self.trace[step].restart
+        ]
+        return sum(row.share or 0.0 for row in rows) / steps
 
     def row(self, evaluation: Evaluation) -> TraceRow:
         """The trace's row of an evaluation."""
@@ -364,13 +387,6 @@ def check_masking(run: AttackRun, queries: int) -> dict[str, object]:
     square = AttackRun.begin_or_resume(problem, attack, run.verifier)
     run_attack(square)
     return {"square": "fooled" if square.verified else "held", "queries": square.step}
-
-
-def rank(row: TraceRow) -> tuple[bool, float, float]:
-    """Returns the quality of a perturbation as a sort key. Without an expectation it is the advantage alone."""
-    if row.share is None:
-        return False, 0.0, -row.advantage
-    return row.advantage < 0, row.share, -row.objective
 
 
 def below_noise(problem: AttackProblem, state: State, evaluation: Evaluation) -> int:
