@@ -80,7 +80,7 @@ def test_an_example_writes_its_files_and_another_process_finds_the_same_bits(nam
     assert done.returncode == 0, done.stderr
     written = sorted(path.name for path in (tmp_path / "one").iterdir())
     attention = [name for name in written if name.startswith("attention")]
-    drawn = [name for name in written if name.startswith(("map-", "normals-", "dents", "paint"))]
+    drawn = [name for name in written if name.startswith(("map-", "normals-", "dents", "paint", "shape"))]
     subsets = [name for name in written if name.startswith("subset")]
     assert [name for name in written if name not in (*attention, *subsets, *drawn)] == FILES
     assert len(subsets) == max(0, 2 ** len(parse(spec).attack.groups) - 2)
