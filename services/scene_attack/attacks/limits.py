@@ -145,7 +145,8 @@ class Limits:
         """The limits of the attacked groups of a renderer: its bounds of their values, the request's `bounds`, and
         `epsilon`, the largest change, each by group.
 
-        Raises InvalidRequest("attack.bounds.<group>") if the request's bounds exclude a value of the scene itself.
+        Raises InvalidRequest("attack.bounds.<group>") if the request's bounds exclude a value of the scene itself, and
+        that or InvalidRequest("attack.epsilon.<group>") if they go beyond what the renderer can draw.
         """
         start, physical, bounds, epsilon = renderer.initial(), renderer.bounds(), bounds or {}, epsilon or {}
         initial = {group: start[group] for group in groups}
@@ -155,10 +156,12 @@ class Limits:
             low, high = (bound.to(value.dtype) - value for bound in physical[group])
             if group in bounds:
                 _check_start(group, value, bounds[group])
+                _check_reach(group, physical[group], bounds[group])
                 low, high = low.clamp_min(bounds[group][0] - value), high.clamp_max(bounds[group][1] - value)
                 # rounding, and the slack of the check, must not exclude the start itself
                 low, high = low.clamp_max(0.0), high.clamp_min(0.0)
             if group in epsilon:
+                _check_epsilon(group, value, physical[group], epsilon[group])
                 low, high = low.clamp_min(-epsilon[group]), high.clamp_max(epsilon[group])
             lows.append(low.flatten())
             highs.append(high.flatten())
@@ -227,6 +230,26 @@ def _check_start(group: str, value: Tensor, bounds: tuple[float, float]) -> None
         raise InvalidRequest(
             f"attack.bounds.{group}",
             f"they exclude the start: the scene itself has a value of {outside:g}, not within {low:g} to {high:g}",
+        )
+
+
+def _check_reach(group: str, physical: tuple[Tensor, Tensor], bounds: tuple[float, float]) -> None:
+    """Bounds that all values would stop short of are another unit, or a misunderstanding."""
+    least, most = float(physical[0].min()), float(physical[1].max())
+    if bounds[0] < least - BOUND_SLACK * (1 + abs(least)) or bounds[1] > most + BOUND_SLACK * (1 + abs(most)):
+        raise InvalidRequest(
+            f"attack.bounds.{group}",
+            f"{bounds[0]:g} to {bounds[1]:g} goes beyond what can be drawn, {least:g} to {most:g}; stay within it",
+        )
+
+
+def _check_epsilon(group: str, value: Tensor, physical: tuple[Tensor, Tensor], epsilon: float) -> None:
+    """The same of ε where values are changes, which are 0 in every scene; others have more or less room by scene."""
+    most = float(torch.maximum(physical[0].abs(), physical[1].abs()).max())
+    if not bool(value.any()) and epsilon > most * (1 + BOUND_SLACK):
+        raise InvalidRequest(
+            f"attack.epsilon.{group}",
+            f"{epsilon:g} goes beyond what can be drawn, a change of {most:g}; give at most that",
         )
 
 

@@ -38,7 +38,7 @@ def limits(**given: Any) -> Limits:
 def test_the_box_is_what_all_limits_allow() -> None:
     physical = limits()
     assert [float(side[2]) for side in (physical.low, physical.high)] == [-torch.inf, torch.inf]  # b has no limit
-    both = limits(bounds={"a": (0.45, 2.0), "b": (-1.0, 3.0)}, epsilon={"a": 0.3, "b": 2.0})
+    both = limits(bounds={"a": (0.45, 1.0), "b": (-1.0, 3.0)}, epsilon={"a": 0.3, "b": 2.0})
     torch.testing.assert_close(both.low, torch.tensor([-0.05, -0.3, -1.0], dtype=torch.float64))
     torch.testing.assert_close(both.high, torch.tensor([0.3, 0.1, 2.0], dtype=torch.float64))
 
@@ -47,6 +47,24 @@ def test_bounds_that_exclude_the_start_are_refused_by_the_field() -> None:
     with pytest.raises(InvalidRequest, match=r"exclude the start: .* value of 0.9, not within 0.2 to 0.8") as error:
         limits(bounds={"a": (0.2, 0.8)})
     assert error.value.field == "attack.bounds.a"
+
+
+@pytest.mark.parametrize(
+    ("field", "given", "within"),
+    [
+        ("attack.bounds.a", {"bounds": {"a": (0.2, 2.0)}}, "0.2 to 2 goes beyond what can be drawn, 0 to 1"),
+        ("attack.bounds.a", {"bounds": {"a": (-0.5, 1.0)}}, "-0.5 to 1 goes beyond what can be drawn, 0 to 1"),
+        ("attack.epsilon.c", {"epsilon": {"c": 21.0}}, "21 goes beyond what can be drawn, a change of 20"),
+    ],
+)
+def test_a_range_beyond_what_can_be_drawn_is_refused(field: str, given: dict[str, Any], within: str) -> None:
+    heights = {"c": (torch.tensor(-20.0), torch.tensor(20.0))}
+    values = Values(INITIAL | {"c": torch.zeros(3)}, PHYSICAL | heights)
+    with pytest.raises(InvalidRequest, match=within) as error:
+        Limits.of(values, ["a", "b", "c"], **given)  # type: ignore[arg-type]
+    assert error.value.field == field
+    ends = {"bounds": {"a": (0.0, 1.0), "c": (-20.0, 20.0)}, "epsilon": {"a": 3.0, "b": 1e9, "c": 20.0}}
+    assert Limits.of(values, ["a", "b", "c"], **ends).high.isfinite().all()  # type: ignore[arg-type]
 
 
 def test_a_random_start_fills_the_box_and_is_the_seeds() -> None:

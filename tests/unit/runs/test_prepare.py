@@ -53,6 +53,8 @@ REFUSED: list[tuple[str, dict[str, Any]]] = [
     ("attack.learning_rate", {"attack": {"learning_rate": {"color": 1.0}}}),
     ("attack.learning_rate.normals", {"attack": {"learning_rate": {"normals": float("nan")}}}),
     ("attack.bounds.image", {"attack": {"renderer": "image", "bounds": {"image": [0.99, 1.0]}}}),
+    ("attack.bounds.image", {"attack": {"renderer": "image", "bounds": {"image": [0.0, 255.0]}}}),
+    ("attack.epsilon.bump", {"attack": {"renderer": "torch", "groups": ["bump"], "epsilon": {"bump": 50}}}),
     ("attack.epsilon", {"attack": {"renderer": "image", "restarts": 2}}),
     ("attack.epsilon.image", {"attack": {"renderer": "image", "epsilon": {"image": -0.1}}}),
     ("attack.truncation", {"attack": {"renderer": "image", "constraint": "backtrack", "truncation": None}}),
