@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from benchmarks.study.physical import SETTING
 from benchmarks.study.record import Record
 from benchmarks.study.tables import attacks, title
 from scene_attack.analysis.campaign_figure import COLOURS, PANEL, STYLE
@@ -94,6 +95,30 @@ def questions(record: Record, target: str) -> str:
         _success(cells, "Success against p", "p ×10⁻³", by_p),
     )
     return figure(panels, [cell.attack for cell in cells])
+
+
+def changes(record: Record, target: str) -> str:
+    """Panels of one network: successes against queries and against p, without the columns of other settings."""
+    cells = [cell for cell in _own(record, target)[0] if SETTING not in cell.attack]
+    panels = (
+        _success(cells, f"{title(target)}: success against queries", "queries", _by_queries(cells), 1.0),
+        _success(cells, "Success against p", "p ×10⁻³", {c.attack: [(1000 * p, n) for p, n in c.by_p] for c in cells}),
+    )
+    return figure(panels, [cell.attack for cell in cells])
+
+
+def around(record: Record, target: str) -> str:
+    """A panel of one network: per cent of the objects that are fooled from more than a share of the views."""
+    lines = []
+    for attack in record.table().attacks:
+        own = [job.around for job in record.jobs if (job.target, job.attack) == (target, attack)]
+        shares = sorted(100 * seen.fooled / seen.right for seen in own if seen is not None and seen.right)
+        reached = [(share, 100 * (1 - number / len(shares))) for number, share in enumerate(shares, 1)]
+        lines.append(Series(attack, [(0.0, 100.0), *reached], steps=True))
+    panel = Panel(
+        title(target), "fooled from more than so many of the views, %", "objects, %", lines, (0, 100), (0, 102)
+    )
+    return figure([panel], [line.name for line in lines])
 
 
 def nondifferentiable(record: Record, target: str) -> str:

@@ -50,6 +50,8 @@ class Example(BaseModel):
     p: float
     request: str
     credits: tuple[str, ...]
+    words: tuple[str, ...] = ()
+    """What was changed, in words and units."""
     questions: tuple[Answered, ...] = ()
 
 
@@ -88,6 +90,7 @@ def of_record(record: Record, name: str, folder: Path, out: Path) -> list[Exampl
                 p=job.p or 0.0,
                 request=job.request,
                 credits=tuple(result.provenance.credits),
+                words=tuple(f"{change.subject} {change.sentence}" for change in result.change.things),
                 questions=tuple(
                     Answered(
                         question=question.text,

@@ -1,5 +1,5 @@
-"""The study's two pages: the paper's object classification on furniture (section 4.1), and its visual question
-answering on scenes after CLEVR (section 4.2).
+"""The study's three pages: the paper's object classification on furniture (section 4.1), its visual question
+answering on scenes after CLEVR (section 4.2), and the changes that a thing, a lamp and a camera could have.
 
 The parts of a page are written from the records in a folder. No figure is typed by hand.
 """
@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from benchmarks.study import curves, equal_p, examples, tables
+from benchmarks.study import curves, equal_p, examples, physical, tables
 from benchmarks.study.record import Record, load
 
 
@@ -99,6 +99,7 @@ def shown(study: Study) -> str:
 def _notes(example: examples.Example) -> tuple[str, str, str]:
     """Notes below the images of an example: the answers before, those after, and the attack."""
     about = f"{tables.title(example.target)}, {example.attack}<br>p {1e3 * example.p:.1f}"
+    about = "<br>".join([about, *example.words])
     if not example.questions:
         return (
             f"{example.before}, {example.before_confidence:.0%}",
@@ -181,13 +182,30 @@ VQA = Page(
         "foot": foot,
     },
 )
+CHANGES = ("physical",)
+"""The records of the table of changes."""
+PHYSICAL = Page(
+    name="physical.md",
+    curves=dict.fromkeys(CHANGES, curves.changes) | {"around": curves.around},
+    with_examples=("physical",),
+    parts={
+        "views": of_all(CHANGES, tables.views),
+        "changes": of_all(CHANGES, physical.changes),
+        "change curves": curves_of(*CHANGES),
+        "wavelengths": of("physical", physical.by_wavelength),
+        "around": of("around", physical.around),
+        "around curves": curves_of("around"),
+        "examples": shown,
+        "foot": foot,
+    },
+)
 
 
 FOLDER = Path(__file__).parents[2] / "docs" / "study"
 PAGES = (CLASSIFICATION, VQA)
-NAMES = tuple(name for page in PAGES for name in page.curves)
+NAMES = tuple(name for page in (*PAGES, PHYSICAL) for name in page.curves)
 """The records by the names of their files."""
-WITH_EXAMPLES = tuple(name for page in PAGES for name in page.with_examples)
+WITH_EXAMPLES = tuple(name for page in (*PAGES, PHYSICAL) for name in page.with_examples)
 
 
 def write(folder: Path) -> list[Path]:

@@ -46,6 +46,15 @@ class Asked(_Record):
         return self.outcome == SUCCESS
 
 
+class Around(_Record):
+    """Fresh variations of an attack over a range, which no step of it has seen, each rendered afresh."""
+
+    views: int
+    right: int
+    """Those that the network has right without the perturbation; only these can be fooled."""
+    fooled: int
+
+
 class Job(_Record):
     """One job: what was attacked, what the network said before, in the loop and afterwards, and what it cost.
 
@@ -85,6 +94,8 @@ class Job(_Record):
     """Pixels that show an object; the torch renderer's plan counts them."""
     pixels: int | None = None
     """Pixels of the image, where `covered` is known."""
+    around: Around | None = None
+    """What came of an attack over a range of views."""
     request: str
     scene: str = ""
     questions: tuple[Asked, ...] = ()

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from safetensors.torch import load_file
 
-from benchmarks.study.record import Asked, Job, Record, Views
+from benchmarks.study.record import Around, Asked, Job, Record, Views
 from scene_attack.analysis.campaign_table import CURVES, MeanCurves
 from scene_attack.runs.campaign_plan import CampaignResult, FirstAnswer, PlannedJob, View, case_of, plan, views
 from scene_attack.runs.campaign_spec import CampaignSpec
@@ -129,6 +129,7 @@ def _job(job: PlannedJob, request: str, result: Result | None, answer: FirstAnsw
         truncated=result.cost.truncated,
         lowered=_lowered(result),
         **_covered(result),
+        around=_around(result),
         scene=result.provenance.scene_sha256[:DIGITS],
     )
 
@@ -149,6 +150,11 @@ def _covered(result: Result) -> dict[str, Any]:
     """The pixels that show an object and all pixels, if the plan says so."""
     pixels = next((item for item in result.plan.items if item.what == "pixels"), None)
     return {} if pixels is None else {"covered": pixels.kept, "pixels": pixels.of}
+
+
+def _around(result: Result) -> Around | None:
+    held = result.expectation
+    return None if held is None else Around(views=held.variations, right=held.right, fooled=held.fooled)
 
 
 def _views(all_views: list[View], answers: dict[int, FirstAnswer], chosen: list[int]) -> tuple[Views, ...]:

@@ -1,0 +1,101 @@
+"""The tables of the study of physical changes: success and p of every group, by wavelength, and by views around."""
+
+from collections.abc import Sequence
+from statistics import median
+
+from benchmarks.study.record import Around, Job, Record
+from benchmarks.study.tables import BETWEEN, NONE, OF, markdown, milli, ordered, paper, title
+from scene_attack.analysis.campaign_table import Rate
+
+SHARES = (0.25, 0.5, 0.75, 1.0)
+"""Shares of the views around an object that must be fooled at once."""
+SETTING = ", "
+"""Stands between a column's group and its setting, such as "bump, 0.2" with waves of 0.2 of the object's size."""
+
+
+def changes(records: Sequence[Record]) -> str:
+    """For each network the paper's columns, and ours: views fooled, with interval, p and steps."""
+    rows: list[list[str]] = []
+    theirs = paper()["classification"]["differentiable"]
+    for record in records:
+        for target in ordered(record.table().targets):
+            block = []
+            stated = theirs["targets"].get(target)
+            if stated is not None:
+                values = zip(theirs["columns"], stated["success"], stated["p"], strict=True)
+                block += [
+                    [f"paper: {name}", str(theirs["views"]), f"{rate:.1f}", "", f"{p:.1f}", ""]
+                    for name, rate, p in values
+                    if name != "image"
+                ]
+            block += [
+                [attack, *_counted(record, target, attack)]
+                for attack in record.table().attacks
+                if SETTING not in attack
+            ]
+            rows += [[f"**{title(target)}**" if number == 0 else "", *row] for number, row in enumerate(block)]
+    heads = ("network", "attack", "n", "fooled, %", "95 % interval", "p ×10⁻³", "steps")
+    return markdown(heads, rows, texts=2)
+
+
+def _counted(record: Record, target: str, attack: str) -> list[str]:
+    jobs = [job for job in record.jobs if (job.target, job.attack) == (target, attack) and job.right]
+    return _row(jobs)
+
+
+def _row(jobs: Sequence[Job]) -> list[str]:
+    """Number of views, per cent fooled with interval, and of the fooled the mean p and the median step."""
+    won = [job for job in jobs if job.success]
+    rate = Rate.of_cases(len(won), len(jobs))
+    if rate.rate is None or rate.low is None or rate.high is None:
+        return ["0", NONE, NONE, NONE, NONE]
+    p = [job.p for job in won if job.p is not None]
+    steps = [job.step for job in won if job.step is not None]
+    return [
+        str(len(jobs)),
+        f"**{100 * rate.rate:.1f}**",
+        f"{100 * rate.low:.1f}–{100 * rate.high:.1f}",
+        milli(sum(p) / len(p)) if p else NONE,
+        f"{median(steps):.0f}" if steps else NONE,
+    ]
+
+
+def by_wavelength(record: Record) -> str:
+    """The columns "<group>, <wavelength>" beside the group's own, on the views that all of them attacked."""
+    columns = [attack for attack in record.table().attacks if SETTING in attack]
+    rows = []
+    for group in dict.fromkeys(column.partition(SETTING)[0] for column in columns):
+        names = [group, *(column for column in columns if column.partition(SETTING)[0] == group)]
+        seen = [{job.scene for job in record.jobs if job.attack == name} for name in names]
+        shared = set.intersection(*seen)
+        for name in names:
+            jobs = [job for job in record.jobs if job.attack == name and job.scene in shared and job.right]
+            rows.append([group, name.partition(SETTING)[2] or "0.1", *_row(jobs)])
+    return markdown(("attack", "shortest wave", "n", "fooled, %", "95 % interval", "p ×10⁻³", "steps"), rows)
+
+
+def around(record: Record) -> str:
+    """For each object the views around it that each attack fools, and below the objects by the share of their views."""
+    names = record.table().attacks
+    jobs = {(job.mesh, job.attack): job for job in record.jobs}
+    rows = []
+    for mesh in dict.fromkeys(job.mesh for job in record.jobs):
+        own = [jobs.get((mesh, name)) for name in names]
+        first = next(job for job in own if job is not None)
+        rows.append([mesh.rpartition("/")[2], first.before, *map(_seen, own)])
+    for share in SHARES:
+        held = [[job for job in record.jobs if job.attack == name and job.around is not None] for name in names]
+        cells = [f"{sum(_reaches(job.around, share) for job in own)}{OF}{len(own)}" for own in held]
+        text = "all" if share == 1 else f"at least {100 * share:.0f} %"
+        rows.append([f"**objects fooled from {text} of their views**", "", *cells])
+    return markdown(("object", "kind", *names), rows, texts=2)
+
+
+def _seen(job: Job | None) -> str:
+    if job is None or job.around is None:
+        return NONE
+    return f"{job.around.fooled}{OF}{job.around.right}{BETWEEN}{milli(job.p)}"
+
+
+def _reaches(seen: Around | None, share: float) -> bool:
+    return seen is not None and seen.right > 0 and seen.fooled >= share * seen.right

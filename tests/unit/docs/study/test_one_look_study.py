@@ -1,0 +1,37 @@
+"""The table of networks that know one look: each row is of its own training and setting."""
+
+import json
+from pathlib import Path
+
+from benchmarks.study.one_look import light_and_material
+from benchmarks.study.record import Job, load
+from tests.unit.docs.study.test_study_records import SMALL, job
+
+
+def view(attack: str, target: str, name: str, **others: object) -> Job:
+    return job(0.02, f"{attack}{target}{name}", attack=attack, target=target, mesh=name, **others)
+
+
+def test_each_training_has_its_rows_and_the_paper_its_own(tmp_path: Path) -> None:
+    """One look falls to light twice of two, a stronger step of material has one success, and many looks hold."""
+    held = {"outcome": "held", "verified": False, "after": "x", "truncated": 7}
+    one, many = "alexnet-one-look", "alexnet-furniture"
+    jobs = [
+        view("illumination", one, "a", truncated=3),
+        view("illumination", one, "b", truncated=5),
+        view("material, ×3", one, "a", **held),
+        view("material, ×3", one, "b", truncated=1),
+        view("illumination", many, "a", **held),
+    ]
+    whole = json.loads((SMALL / "differentiable.json").read_text("utf-8"))
+    whole["jobs"] = [one.model_dump(mode="json") for one in jobs]
+    (tmp_path / "r.json").write_text(json.dumps(whole), "utf-8")
+    lines = light_and_material(load(tmp_path / "r.json")).splitlines()[2:]
+    rows = [[cell.strip().replace("\u00a0", " ") for cell in line.split("|")[1:-1]] for line in lines]
+    assert rows[0] == ["**AlexNet**", "paper", "233", "29.6 · 25.8", "", "–", "18.9 · 25.8", "", "–"]
+    assert rows[1][1:6] == ["one look", "2", "**100.0 · 20.0**", "34.2–100.0", "4.0"]
+    assert rows[1][6:] == ["", "", ""]
+    assert rows[2][1:3] == ["one look, ×3", "2"]
+    assert rows[2][3:] == ["", "", "", "**50.0 · 20.0**", "9.5–90.5", "4.0"]
+    assert rows[3][:6] == ["", "varied looks", "1", "**0.0 · –**", "0.0–79.3", "7.0"]
+    assert len(rows) == 4

@@ -1,0 +1,108 @@
+"""The study of physical changes: its rows are what its jobs say."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from benchmarks.study import physical
+from benchmarks.study.pages import PHYSICAL
+from benchmarks.study.record import load
+from scene_attack.analysis.verdict import wilson
+from scene_attack.runs.campaign_spec import parse
+from tests.unit.docs.study.test_study_records import SMALL, raw, won
+
+EXAMPLES = Path(__file__).parents[4] / "examples"
+
+
+def cells(line: str) -> list[str]:
+    return [cell.strip() for cell in line.replace("\u00a0", " ").split("|")[1:-1]]
+
+
+def changed(tmp_path: Path, name: str, jobs: list[dict[str, Any]]) -> Path:
+    """A record with other jobs."""
+    whole = json.loads((SMALL / f"{name}.json").read_text("utf-8")) | {"jobs": jobs}
+    (tmp_path / f"{name}.json").write_text(json.dumps(whole), "utf-8")
+    return tmp_path / f"{name}.json"
+
+
+def test_a_row_counts_the_verified_successes_of_its_jobs() -> None:
+    jobs = raw(SMALL / "physical.json")
+    lines = physical.changes([load(SMALL / "physical.json")]).splitlines()
+    rows = {row[-6]: row for row in map(cells, lines[2:])}
+    assert rows["paper: normals"][-5:] == ["233", "88.4", "", "9.3", ""]
+    assert "paper: image" not in rows  # no change of a scene
+    assert "bump, 0.2" not in rows  # has a table of its own
+    for attack in ("normals", "bump", "pose"):
+        own = [job for job in jobs if job["attack"] == attack]
+        good = [job for job in own if won(job)]
+        low, high = wilson(len(good), len(own))
+        p = f"{1000 * sum(job['p'] for job in good) / len(good):.1f}" if good else "–"
+        expected = [str(len(own)), f"**{100 * len(good) / len(own):.1f}**", f"{100 * low:.1f}–{100 * high:.1f}", p]
+        assert rows[attack][-5:-1] == expected
+
+
+def test_wavelengths_are_compared_on_the_views_that_all_of_them_attacked(tmp_path: Path) -> None:
+    """Views at 1.0 rad have no job with the longer wave: a success there counts in neither row."""
+    jobs = raw(SMALL / "physical.json")
+    shared = {job["scene"] for job in jobs if job["attack"] == "bump, 0.2"}
+    text = physical.by_wavelength(load(SMALL / "physical.json"))
+    assert [cells(line)[1:3] for line in text.splitlines()[2:]] == [
+        ["0.1", str(len(shared))],
+        ["0.2", str(len(shared))],
+    ]
+    model = next(job for job in jobs if won(job))
+    other = [
+        job | {name: model[name] for name in ("before", "after", "truth", "outcome", "verified", "p", "step")}
+        if job["attack"] == "bump" and job["scene"] not in shared
+        else job
+        for job in jobs
+    ]
+    assert other != jobs
+    assert physical.by_wavelength(load(changed(tmp_path, "physical", other))) == text
+
+
+def test_objects_are_counted_by_the_share_of_their_right_views(tmp_path: Path) -> None:
+    """Of four views the network has two right: both fooled are all of them, and one is half."""
+    dented = [job for job in raw(SMALL / "around.json") if job["attack"] == "bump"]
+    jobs = [job | {"around": {"views": 4, "right": 2, "fooled": number}} for number, job in enumerate(dented, 1)]
+    rows = [cells(line) for line in physical.around(load(changed(tmp_path, "around", jobs))).splitlines()[2:]]
+    assert [row[-1].partition(" · ")[0] for row in rows] == [
+        "1 of 2",
+        "2 of 2",
+        "2 of 2",  # at least 25 %
+        "2 of 2",  # at least 50 %
+        "1 of 2",  # at least 75 %
+        "1 of 2",  # all
+    ]
+
+
+def test_a_view_that_was_wrong_already_is_no_view_that_was_fooled(tmp_path: Path) -> None:
+    jobs = [job | {"around": {"views": 4, "right": 0, "fooled": 0}} for job in raw(SMALL / "around.json")]
+    rows = physical.around(load(changed(tmp_path, "around", jobs))).splitlines()[-len(physical.SHARES) :]
+    assert {cell for row in rows for cell in cells(row)[-2:]} == {"0 of 2"}
+
+
+def test_the_page_has_every_part_and_says_the_changes_in_words() -> None:
+    text = PHYSICAL.files(SMALL)["physical.md"]
+    assert "{{" not in text
+    assert "surface of " in text
+    assert "`scene-attack campaign run examples/paper-around.json --out out/paper-around`" in text
+
+
+@pytest.mark.parametrize("name", ["paper-physical", "paper-physical-alexnet", "paper-physical-lite0", "paper-around"])
+def test_what_the_page_says_of_a_campaign_is_so(name: str) -> None:
+    spec = parse(json.loads((EXAMPLES / f"{name}.json").read_text("utf-8")))
+    for grid in spec.grids:
+        assert all(scene.objects[0].material == "plastic" for scene in grid.scenes.scenes()[:1])
+        for column in grid.attacks:
+            attack = column.attack
+            assert (attack.method, attack.truncation) == ("fgsm", None)
+            assert attack.steps == (30 if column.name == "pose" else 120)
+            if name == "paper-around":
+                assert attack.expectation is not None
+                assert (attack.expectation.azimuth, attack.expectation.checks) == (180, 16)
+                assert (attack.expectation.samples == 0) == column.name.endswith("one view")
+            elif physical.SETTING in column.name:
+                assert attack.wavelength == float(column.name.partition(physical.SETTING)[2])
