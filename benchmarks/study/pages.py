@@ -74,7 +74,7 @@ def of_all(names: Sequence[str], write: Callable[[Sequence[Record]], str]) -> Ca
 def curves_of(*names: str) -> Callable[[Study], str]:
     """The curves of these records."""
     return lambda study: "\n\n".join(
-        f"![{tables.title(target)}: successes against work, and mean curves]({chart(name, target)})"
+        f"![{tables.title(target)}: the curves of {name}]({chart(name, target)})"
         for name in names
         for target in study.records[name].table().targets
     )
@@ -192,6 +192,7 @@ PHYSICAL = Page(
         "views": of_all(CHANGES, tables.views),
         "changes": of_all(CHANGES, physical.changes),
         "change curves": curves_of(*CHANGES),
+        "coverage": of_all(CHANGES, physical.by_coverage),
         "wavelengths": of("physical", physical.by_wavelength),
         "around": of("around", physical.around),
         "around curves": curves_of("around"),
@@ -202,10 +203,10 @@ PHYSICAL = Page(
 
 
 FOLDER = Path(__file__).parents[2] / "docs" / "study"
-PAGES = (CLASSIFICATION, VQA)
-NAMES = tuple(name for page in (*PAGES, PHYSICAL) for name in page.curves)
+PAGES = (CLASSIFICATION, VQA, PHYSICAL)
+NAMES = tuple(name for page in PAGES for name in page.curves)
 """The records by the names of their files."""
-WITH_EXAMPLES = tuple(name for page in (*PAGES, PHYSICAL) for name in page.with_examples)
+WITH_EXAMPLES = tuple(name for page in PAGES for name in page.with_examples)
 
 
 def write(folder: Path) -> list[Path]:

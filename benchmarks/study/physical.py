@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from statistics import median
 
 from benchmarks.study.record import Around, Job, Record
-from benchmarks.study.tables import BETWEEN, NONE, OF, markdown, milli, ordered, paper, title
+from benchmarks.study.tables import BETWEEN, NONE, OF, RANGES, markdown, milli, ordered, paper, share_range, title
 from scene_attack.analysis.campaign_table import Rate
 
 SHARES = (0.25, 0.5, 0.75, 1.0)
@@ -17,30 +17,38 @@ def changes(records: Sequence[Record]) -> str:
     """For each network the paper's columns, and ours: views fooled, with interval, p and steps."""
     rows: list[list[str]] = []
     theirs = paper()["classification"]["differentiable"]
-    for record in records:
-        for target in ordered(record.table().targets):
-            block = []
-            stated = theirs["targets"].get(target)
-            if stated is not None:
-                values = zip(theirs["columns"], stated["success"], stated["p"], strict=True)
-                block += [
-                    [f"paper: {name}", str(theirs["views"]), f"{rate:.1f}", "", f"{p:.1f}", ""]
-                    for name, rate, p in values
-                    if name != "image"
-                ]
+    for target in ordered({target for record in records for target in record.table().targets}):
+        block = []
+        stated = theirs["targets"].get(target)
+        if stated is not None:
+            values = zip(theirs["columns"], stated["success"], stated["p"], strict=True)
             block += [
-                [attack, *_counted(record, target, attack)]
-                for attack in record.table().attacks
-                if SETTING not in attack
+                [f"paper: {name}", str(theirs["views"]), f"{rate:.1f}", "", f"{p:.1f}", ""]
+                for name, rate, p in values
+                if name != "image"
             ]
-            rows += [[f"**{title(target)}**" if number == 0 else "", *row] for number, row in enumerate(block)]
+        jobs = [job for record in records for job in record.jobs if job.target == target and job.right]
+        for attack in dict.fromkeys(job.attack for job in jobs if SETTING not in job.attack):
+            block.append([attack, *_row([job for job in jobs if job.attack == attack])])
+        rows += [[f"**{title(target)}**" if number == 0 else "", *row] for number, row in enumerate(block)]
     heads = ("network", "attack", "n", "fooled, %", "95 % interval", "p ×10⁻³", "steps")
     return markdown(heads, rows, texts=2)
 
 
-def _counted(record: Record, target: str, attack: str) -> list[str]:
-    jobs = [job for job in record.jobs if (job.target, job.attack) == (target, attack) and job.right]
-    return _row(jobs)
+def by_coverage(records: Sequence[Record]) -> str:
+    """For each network and each range of covered shares: the views that each attack fools."""
+    rows = []
+    everywhere = [job for record in records for job in record.jobs if job.right and SETTING not in job.attack]
+    names = list(dict.fromkeys(job.attack for job in everywhere))
+    for target in ordered({job.target for job in everywhere}):
+        jobs = [job for job in everywhere if job.target == target]
+        block = []
+        for low, high in RANGES:
+            own = [[j for j in jobs if j.attack == name and low <= (j.share or 0.0) < high] for name in names]
+            cells = [f"{sum(job.success for job in of)}{OF}{len(of)}" if of else NONE for of in own]
+            block.append([share_range(low, high), *cells])
+        rows += [[f"**{title(target)}**" if number == 0 else "", *row] for number, row in enumerate(block)]
+    return markdown(("network", "covered", *names), rows, texts=2)
 
 
 def _row(jobs: Sequence[Job]) -> list[str]:
@@ -75,20 +83,23 @@ def by_wavelength(record: Record) -> str:
 
 
 def around(record: Record) -> str:
-    """For each object the views around it that each attack fools, and below the objects by the share of their views."""
+    """For each object the views around it that each attack fools, the largest in the image first; and below how many
+    objects are fooled from at least a share of their views.
+    """
     names = record.table().attacks
     jobs = {(job.mesh, job.attack): job for job in record.jobs}
     rows = []
-    for mesh in dict.fromkeys(job.mesh for job in record.jobs):
+    for mesh in dict.fromkeys(job.mesh for job in sorted(record.jobs, key=lambda job: -(job.share or 0.0))):
         own = [jobs.get((mesh, name)) for name in names]
         first = next(job for job in own if job is not None)
-        rows.append([mesh.rpartition("/")[2], first.before, *map(_seen, own)])
+        covered = NONE if first.share is None else f"{100 * first.share:.0f} %"
+        rows.append([mesh.rpartition("/")[2], first.before, covered, *map(_seen, own)])
     for share in SHARES:
         held = [[job for job in record.jobs if job.attack == name and job.around is not None] for name in names]
         cells = [f"{sum(_reaches(job.around, share) for job in own)}{OF}{len(own)}" for own in held]
         text = "all" if share == 1 else f"at least {100 * share:.0f} %"
-        rows.append([f"**objects fooled from {text} of their views**", "", *cells])
-    return markdown(("object", "kind", *names), rows, texts=2)
+        rows.append([f"**objects fooled from {text} of their views**", "", "", *cells])
+    return markdown(("object", "kind", "covered", *names), rows, texts=2)
 
 
 def _seen(job: Job | None) -> str:

@@ -373,7 +373,7 @@ def by_coverage(records: Sequence[Record]) -> str:
         for target in record.table().targets:
             jobs = [job for job in record.jobs if job.target == target and job.attack in COLUMNS and job.share]
             ranges = {(low, high): [job for job in jobs if low <= (job.share or 0.0) < high] for low, high in RANGES}
-            covered = [[_range(low, high), *_covered_row(own)] for (low, high), own in ranges.items() if own]
+            covered = [[share_range(low, high), *_covered_row(own)] for (low, high), own in ranges.items() if own]
             rows += [[f"**{title(target)}**" if number == 0 else "", *row] for number, row in enumerate(covered)]
             broad = [job for job in jobs if (job.share or 0.0) >= ENOUGH]
             if broad:
@@ -400,7 +400,8 @@ def by_confidence(records: Sequence[Record]) -> str:
     return markdown(heads, rows, texts=2)
 
 
-def _range(low: float, high: float) -> str:
+def share_range(low: float, high: float) -> str:
+    """A range of shares in words."""
     if low == 0.0:
         return f"below {100 * high:.0f} %"
     return f"{100 * low:.0f}–{100 * high:.0f} %" if high <= 1 else f"{100 * low:.0f} % and more"

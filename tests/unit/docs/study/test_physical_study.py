@@ -34,13 +34,30 @@ def test_a_row_counts_the_verified_successes_of_its_jobs() -> None:
     assert rows["paper: normals"][-5:] == ["233", "88.4", "", "9.3", ""]
     assert "paper: image" not in rows  # no change of a scene
     assert "bump, 0.2" not in rows  # has a table of its own
-    for attack in ("normals", "bump", "pose"):
+    for attack in ("normals", "bump"):
         own = [job for job in jobs if job["attack"] == attack]
         good = [job for job in own if won(job)]
         low, high = wilson(len(good), len(own))
         p = f"{1000 * sum(job['p'] for job in good) / len(good):.1f}" if good else "–"
         expected = [str(len(own)), f"**{100 * len(good) / len(own):.1f}**", f"{100 * low:.1f}–{100 * high:.1f}", p]
         assert rows[attack][-5:-1] == expected
+
+
+def test_views_are_counted_by_the_share_that_the_object_covers(tmp_path: Path) -> None:
+    """A view lies in the range whose lower edge it reaches."""
+    jobs = [
+        job | {"covered": covered, "pixels": 1000}
+        for job, covered in zip(raw(SMALL / "physical.json"), [100, 149, 150, 999] * 4, strict=False)
+        if job["attack"] == "normals"
+    ]
+    text = physical.by_coverage([load(changed(tmp_path, "physical", jobs))])
+    rows = [cells(line)[1:] for line in text.splitlines()[2:]]
+    counts = dict.fromkeys(("below 10 %", "10–15 %", "15–20 %", "20 % and more"), 0)
+    for job in jobs:
+        share = job["covered"] / 1000
+        counts[next(name for end, name in zip((0.1, 0.15, 0.2, 2), counts, strict=True) if share < end)] += 1
+    assert all(map(won, jobs))
+    assert rows == [[name, f"{count} of {count}" if count else "–"] for name, count in counts.items()]
 
 
 def test_wavelengths_are_compared_on_the_views_that_all_of_them_attacked(tmp_path: Path) -> None:
@@ -69,8 +86,8 @@ def test_objects_are_counted_by_the_share_of_their_right_views(tmp_path: Path) -
     jobs = [job | {"around": {"views": 4, "right": 2, "fooled": number}} for number, job in enumerate(dented, 1)]
     rows = [cells(line) for line in physical.around(load(changed(tmp_path, "around", jobs))).splitlines()[2:]]
     assert [row[-1].partition(" · ")[0] for row in rows] == [
+        "2 of 2",  # the wardrobe, which covers more of the image
         "1 of 2",
-        "2 of 2",
         "2 of 2",  # at least 25 %
         "2 of 2",  # at least 50 %
         "1 of 2",  # at least 75 %
@@ -91,7 +108,9 @@ def test_the_page_has_every_part_and_says_the_changes_in_words() -> None:
     assert "`scene-attack campaign run examples/paper-around.json --out out/paper-around`" in text
 
 
-@pytest.mark.parametrize("name", ["paper-physical", "paper-physical-alexnet", "paper-physical-lite0", "paper-around"])
+@pytest.mark.parametrize(
+    "name", ["paper-physical", "paper-physical-alexnet", "paper-physical-lite0", "paper-pose", "paper-around"]
+)
 def test_what_the_page_says_of_a_campaign_is_so(name: str) -> None:
     spec = parse(json.loads((EXAMPLES / f"{name}.json").read_text("utf-8")))
     for grid in spec.grids:
