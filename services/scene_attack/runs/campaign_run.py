@@ -39,14 +39,19 @@ from scene_attack.targets.scores import probability
 def first_answers(
     views: Iterable[View], library: Library, cancelled: Callable[[], bool] = lambda: False
 ) -> Iterator[FirstAnswer]:
-    """Yields the answer to the exact image of each view, rounded to 8 bits, or why it cannot be attacked.
+    """Yields the answer to the exact image of each view, rounded to 8 bits, or why it cannot be attacked. The same view
+    of several grids is asked for once.
 
     Raises Cancelled once `cancelled()`, which is called before each view, is true.
     """
+    asked: dict[str, FirstAnswer] = {}
     for view in views:
         if cancelled():
             raise Cancelled
-        yield first_answer(view, library)
+        probe = sha256(view.probe.model_dump_json().encode()).hexdigest()
+        if probe not in asked:
+            asked[probe] = first_answer(view, library)
+        yield asked[probe].model_copy(update={"view": view.number})
 
 
 def first_answer(view: View, library: Library) -> FirstAnswer:

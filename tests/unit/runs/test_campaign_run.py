@@ -11,10 +11,11 @@ from PIL import Image
 from scene_attack.errors import Cancelled, InvalidRequest, JobFailure
 from scene_attack.runs import campaign_run
 from scene_attack.runs.adversary_dataset import AdversaryDataset, export
-from scene_attack.runs.campaign_plan import CampaignResult, views, write
-from scene_attack.runs.campaign_run import CampaignProgress, first_answer, run_campaign
+from scene_attack.runs.campaign_plan import CampaignResult, FirstAnswer, View, views, write
+from scene_attack.runs.campaign_run import CampaignProgress, first_answer, first_answers, run_campaign
 from scene_attack.runs.campaign_spec import CampaignSpec, parse
 from scene_attack.runs.result import Result
+from scene_attack.scenes.library import Library
 from tests.unit.jobs.small import LIBRARY
 
 pytestmark = pytest.mark.slow
@@ -155,6 +156,23 @@ def test_a_view_without_its_truth_is_not_attacked(tmp_path: Path) -> None:
     found = run_campaign(parse({"grids": [GRID]}), tmp_path, LIBRARY)
     assert [view.why for view in found.views] == ["nobody knows its truth"]
     assert found.table.cells == []
+
+
+def test_the_same_view_of_two_grids_is_asked_for_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The second grid has the first one's view and another."""
+    other = GRID | {"scenes": GRID["scenes"] | {"views": [0.61, 1.0]}}
+    every = views(parse({"grids": [GRID, other]}))
+    assert [view.probe.scene.camera.azimuth for view in every] == [0.61, 0.61, 1.0]
+    one_by_one = [first_answer(view, LIBRARY) for view in every]
+    drawn: list[int] = []
+
+    def counted(view: View, library: Library) -> FirstAnswer:
+        drawn.append(view.number)
+        return first_answer(view, library)
+
+    monkeypatch.setattr(campaign_run, "first_answer", counted)
+    assert list(first_answers(every, LIBRARY)) == one_by_one
+    assert drawn == [0, 2]
 
 
 def test_the_adversaries_are_a_maite_dataset(finished: tuple[Path, CampaignResult], truth: str, tmp_path: Path) -> None:
