@@ -93,13 +93,14 @@ def shown(study: Study) -> str:
         "| " + " | ".join(cells) + " |"
         for cells in (("before", "attacked, rendered afresh", "difference ×5"), (":---:",) * 3, *rows)
     )
-    return f"{table}\n\n<small>{'; '.join(creators)}</small>" if creators else table
+    words = (f"- {example.attack}: {'; '.join(example.words)}." for example in study.examples if example.words)
+    small = f"<small>{'; '.join(creators)}</small>" if creators else ""
+    return "\n\n".join(part for part in (table, "\n".join(words), small) if part)
 
 
 def _notes(example: examples.Example) -> tuple[str, str, str]:
     """Notes below the images of an example: the answers before, those after, and the attack."""
     about = f"{tables.title(example.target)}, {example.attack}<br>p {1e3 * example.p:.1f}"
-    about = "<br>".join([about, *example.words])
     if not example.questions:
         return (
             f"{example.before}, {example.before_confidence:.0%}",
