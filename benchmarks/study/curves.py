@@ -12,9 +12,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from benchmarks.study.physical import SETTING
 from benchmarks.study.record import Record
-from benchmarks.study.tables import attacks, title
+from benchmarks.study.tables import SETTING, attacks, title
 from scene_attack.analysis.campaign_figure import COLOURS, PANEL, STYLE
 from scene_attack.analysis.campaign_table import Cell, Corners, MeanCurves, corners
 

@@ -4,13 +4,27 @@ from collections.abc import Sequence
 from statistics import median
 
 from benchmarks.study.record import Around, Job, Record
-from benchmarks.study.tables import BETWEEN, NONE, OF, RANGES, markdown, milli, ordered, paper, share_range, title
-from scene_attack.analysis.campaign_table import Rate
+from benchmarks.study.tables import (
+    BETWEEN,
+    NONE,
+    OF,
+    RANGES,
+    SETTING,
+    bold,
+    decimal,
+    fooled_of,
+    markdown,
+    milli,
+    ordered,
+    paper,
+    rate_texts,
+    share_range,
+    title,
+)
+from scene_attack.analysis.campaign_table import Rate, mean
 
 SHARES = (0.25, 0.5, 0.75, 1.0)
 """Shares of the views around an object that must be fooled at once."""
-SETTING = ", "
-"""Stands between a column's group and its setting, such as "bump, 0.2" with waves of 0.2 of the object's size."""
 
 
 def changes(records: Sequence[Record]) -> str:
@@ -30,7 +44,7 @@ def changes(records: Sequence[Record]) -> str:
         jobs = [job for record in records for job in record.jobs if job.target == target and job.right]
         for attack in dict.fromkeys(job.attack for job in jobs if SETTING not in job.attack):
             block.append([attack, *_row([job for job in jobs if job.attack == attack])])
-        rows += [[f"**{title(target)}**" if number == 0 else "", *row] for number, row in enumerate(block)]
+        rows += [[f"**{title(target)}**" if place == 0 else "", *row] for place, row in enumerate(block)]
     heads = ("network", "attack", "n", "fooled, %", "95 % interval", "p ×10⁻³", "steps")
     return markdown(heads, rows, texts=2)
 
@@ -45,27 +59,18 @@ def by_coverage(records: Sequence[Record]) -> str:
         block = []
         for low, high in RANGES:
             own = [[j for j in jobs if j.attack == name and low <= (j.share or 0.0) < high] for name in names]
-            cells = [f"{sum(job.success for job in of)}{OF}{len(of)}" if of else NONE for of in own]
-            block.append([share_range(low, high), *cells])
-        rows += [[f"**{title(target)}**" if number == 0 else "", *row] for number, row in enumerate(block)]
+            block.append([share_range(low, high), *map(fooled_of, own)])
+        rows += [[f"**{title(target)}**" if place == 0 else "", *row] for place, row in enumerate(block)]
     return markdown(("network", "covered", *names), rows, texts=2)
 
 
 def _row(jobs: Sequence[Job]) -> list[str]:
     """Number of views, per cent fooled with interval, and of the fooled the mean p and the median step."""
     won = [job for job in jobs if job.success]
-    rate = Rate.of_cases(len(won), len(jobs))
-    if rate.rate is None or rate.low is None or rate.high is None:
-        return ["0", NONE, NONE, NONE, NONE]
-    p = [job.p for job in won if job.p is not None]
+    _, fooled, between = rate_texts(Rate.of_cases(len(won), len(jobs)))
     steps = [job.step for job in won if job.step is not None]
-    return [
-        str(len(jobs)),
-        f"**{100 * rate.rate:.1f}**",
-        f"{100 * rate.low:.1f}–{100 * rate.high:.1f}",
-        milli(sum(p) / len(p)) if p else NONE,
-        f"{median(steps):.0f}" if steps else NONE,
-    ]
+    middle = decimal(median(steps) if steps else None, 0)
+    return [str(len(jobs)), bold(fooled), between, milli(mean([job.p for job in won])), middle]
 
 
 def by_wavelength(record: Record) -> str:

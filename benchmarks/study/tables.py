@@ -28,6 +28,8 @@ CLASSIFICATION, VQA = "classification", "vqa"
 NONE = "–"
 BETWEEN = "\u00a0·\u00a0"
 """Stands between a rate and a p, which a line is not broken at."""
+SETTING = ", "
+"""Stands between an attack and its setting in the name of a column: "combined, 448²", "bump, 0.2"."""
 OF = "\u00a0of\u00a0"
 QUERIES = (2, 5, 10, 30, 122)
 """Budgets at which successes are stated; 122 queries are those of 120 steps."""
@@ -70,7 +72,7 @@ def differentiable(records: Sequence[Record], task: str = CLASSIFICATION) -> str
             own = [of_paper[:1], _rows({name: table.cell(target, name) for name in columns}, "", columns), of_paper[1:]]
             settings: dict[str, dict[str, Cell | None]] = {}
             for attack in table.attacks:
-                column, comma, setting = attack.partition(", ")
+                column, comma, setting = attack.partition(SETTING)
                 if comma and (cell := table.cell(target, attack)) is not None:
                     settings.setdefault(setting, {})[column] = cell
             own += [_rows(cells, f"{setting}, ", columns) for setting, cells in settings.items()]
@@ -88,7 +90,7 @@ def _of_paper(stated: Mapping[str, Any], target: str) -> list[list[str]]:
     rows = [["paper", str(stated["views"]), *values]]
     if any(value is not None for value in theirs["truncated"]):
         pixels = dict(zip(stated["columns"], theirs["truncated"], strict=True))
-        rows.append(["truncated, paper", "", *(_number(pixels[name]) for name in stated["columns"])])
+        rows.append(["truncated, paper", "", *(decimal(pixels[name]) for name in stated["columns"])])
     return rows
 
 
@@ -96,10 +98,10 @@ def _rows(cells: Mapping[str, Cell | None], setting: str, columns: Sequence[str]
     """Our rows of a network, of these cells by column."""
     own = [cells.get(name) for name in columns]
     return [
-        [f"{setting}paper's count", _most(own), *(_both(cell, "loop_success") for cell in own)],
-        [f"{setting}**verified**", _most(own), *(_bold(_both(cell, "success")) for cell in own)],
-        [f"{setting}95\u00a0% interval", "", *(_interval(cell) for cell in own)],
-        [f"{setting}truncated", "", *(_truncated(cell) for cell in own)],
+        [f"{setting}paper's count", _most(own), *(both(cell, "loop_success") for cell in own)],
+        [f"{setting}**verified**", _most(own), *(bold(both(cell, "success")) for cell in own)],
+        [f"{setting}95\u00a0% interval", "", *(interval(cell) for cell in own)],
+        [f"{setting}truncated", "", *(truncated(cell) for cell in own)],
     ]
 
 
@@ -111,7 +113,7 @@ def nondifferentiable(record: Record, task: str = CLASSIFICATION) -> str:
         if (theirs := stated["targets"].get(target)) is not None:
             for number, (name, steps, count) in enumerate(theirs["attacks"]):
                 asked = f"paper: {name}, {steps:,} steps"
-                counts = _counts(Rate.of_cases(count, stated["views"]))
+                counts = rate_texts(Rate.of_cases(count, stated["views"]))
                 rows.append([f"**{title(target)}**" if number == 0 else "", asked, *counts, "", "", "", ""])
         for attack in table.attacks:
             if (cell := table.cell(target, attack)) is not None:
@@ -123,10 +125,10 @@ def nondifferentiable(record: Record, task: str = CLASSIFICATION) -> str:
                     [
                         "",
                         f"here: {attack}",
-                        *map(_bold, _counts(cell.success)),
+                        *map(bold, rate_texts(cell.success)),
                         loop,
                         milli(cell.perceptibility),
-                        _number(median(queries) if queries else None, 0),
+                        decimal(median(queries) if queries else None, 0),
                         f"{sum(lowered)}{OF}{len(lowered)}" if lowered else NONE,
                     ]
                 )
@@ -177,7 +179,7 @@ def orders(records: Sequence[Record]) -> str:
     lines = []
     for table in (record.table() for record in records):
         for target in table.targets:
-            cells = [cell for cell in table.cells if cell.target == target and ", " not in cell.attack]
+            cells = [cell for cell in table.cells if cell.target == target and SETTING not in cell.attack]
             by_success = sorted(cells, key=lambda cell: -(cell.success.rate or 0.0))
             by_p = sorted(
                 (c for c in cells if c.perceptibility is not None), key=lambda cell: cell.perceptibility or 0.0
@@ -203,7 +205,8 @@ def _most(cells: Sequence[Cell | None]) -> str:
     return "" if not of else str(of[0]) if len(of) == 1 else f"{of[0]}–{of[-1]}"
 
 
-def _both(cell: Cell | None, which: str) -> str:
+def both(cell: Cell | None, which: str) -> str:
+    """Per cent and mean p of a cell: of its "success", verified, or "loop_success", the paper's; "" without a cell."""
     if cell is None:
         return ""
     rate: Rate = getattr(cell, which)
@@ -211,27 +214,32 @@ def _both(cell: Cell | None, which: str) -> str:
     return f"{_percent(rate.rate)}{BETWEEN}{milli(p)}"
 
 
-def _interval(cell: Cell | None) -> str:
+def interval(cell: Cell | None) -> str:
+    """The interval of a cell's verified rate, per cent; "" without one."""
     if cell is None or cell.success.low is None or cell.success.high is None:
         return ""
     return f"{100 * cell.success.low:.1f}–{100 * cell.success.high:.1f}"
 
 
-def _counts(rate: Rate) -> tuple[str, str, str]:
+def rate_texts(rate: Rate) -> tuple[str, str, str]:
+    """A rate as a count of cases, per cent, and its interval."""
     if rate.low is None or rate.high is None:
         return f"0{OF}0", NONE, NONE
     return f"{rate.count}{OF}{rate.of}", _percent(rate.rate), f"{100 * rate.low:.1f}–{100 * rate.high:.1f}"
 
 
-def _truncated(cell: Cell | None) -> str:
-    return "" if cell is None else _number(cell.truncated)
+def truncated(cell: Cell | None) -> str:
+    """Pixels beyond U in some step, as a mean over all cases; "" without a cell."""
+    return "" if cell is None else decimal(cell.truncated)
 
 
-def _bold(text: str) -> str:
+def bold(text: str) -> str:
+    """A text in bold, unless there is none."""
     return f"**{text}**" if text and text != NONE else text
 
 
-def _number(value: float | None, digits: int = 1) -> str:
+def decimal(value: float | None, digits: int = 1) -> str:
+    """A number with so many digits after the point."""
     return NONE if value is None else f"{value:,.{digits}f}"
 
 
@@ -410,11 +418,12 @@ def share_range(low: float, high: float) -> str:
 def _covered_row(jobs: Sequence[Job]) -> list[str]:
     held = [job for job in jobs if not job.success]
     names = sorted({job.mesh.rpartition("/")[2] for job in held})
-    counts = [_count([job for job in jobs if job.attack == name]) for name in COLUMNS]
+    counts = [fooled_of([job for job in jobs if job.attack == name]) for name in COLUMNS]
     return [", ".join(names) or NONE, str(len({job.scene for job in jobs})), *counts, _pushed(held)]
 
 
-def _count(jobs: Sequence[Job]) -> str:
+def fooled_of(jobs: Sequence[Job]) -> str:
+    """How many of these jobs are successes."""
     return f"{sum(job.success for job in jobs)}{OF}{len(jobs)}" if jobs else NONE
 
 

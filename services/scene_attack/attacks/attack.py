@@ -85,7 +85,7 @@ class Attack(Model):
     bounds: dict[str, tuple[Value, Value]] = Field(
         default_factory=dict,
         description="smallest and largest value of the parameters, by group, in the group's units; the scene's own "
-        "values must be within, and the renderer must be able to draw what is",
+        "values must be within, and nothing may be that the renderer cannot draw",
     )
     restarts: Annotated[int, Field(ge=0, le=100)] = Field(
         default=0,

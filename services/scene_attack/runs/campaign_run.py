@@ -7,7 +7,6 @@ import json
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from hashlib import sha256
 from pathlib import Path
 from time import monotonic
 
@@ -32,6 +31,7 @@ from scene_attack.runs.campaign_spec import CampaignSpec
 from scene_attack.runs.execute import execute, provenance
 from scene_attack.runs.prepare import prepare_exactly, tasks_of_plan
 from scene_attack.runs.result import RESULT, Result
+from scene_attack.runs.spec import digest
 from scene_attack.scenes.library import Library
 from scene_attack.targets.scores import probability
 
@@ -48,7 +48,7 @@ def first_answers(
     for view in views:
         if cancelled():
             raise Cancelled
-        probe = sha256(view.probe.model_dump_json().encode()).hexdigest()
+        probe = digest(view.probe)
         if probe not in asked:
             asked[probe] = first_answer(view, library)
         yield asked[probe].model_copy(update={"view": view.number})
@@ -177,7 +177,7 @@ class _Runner:
     def __init__(self, campaign: CampaignSpec, folder: Path, library: Library, cancelled: Callable[[], bool]) -> None:
         self._folder, self._library, self._cancelled = folder, library, cancelled
         self._reuse = campaign.reuse
-        self._campaign = sha256(campaign.model_dump_json().encode()).hexdigest()
+        self._campaign = digest(campaign)
 
     def run(self, job: PlannedJob) -> tuple[Case, Curves | None]:
         place = self._folder / job.digest

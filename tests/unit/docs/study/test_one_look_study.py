@@ -1,11 +1,10 @@
 """The table of networks that know one look: each row is of its own training and setting."""
 
-import json
 from pathlib import Path
 
 from benchmarks.study.one_look import light_and_material
-from benchmarks.study.record import Job, load
-from tests.unit.docs.study.test_study_records import SMALL, job
+from benchmarks.study.record import Job
+from tests.unit.docs.study.test_study_records import job, rows_of, with_jobs
 
 
 def view(attack: str, target: str, name: str, **others: object) -> Job:
@@ -23,11 +22,8 @@ def test_each_training_has_its_rows_and_the_paper_its_own(tmp_path: Path) -> Non
         view("material, ×3", one, "b", truncated=1),
         view("illumination", many, "a", **held),
     ]
-    whole = json.loads((SMALL / "differentiable.json").read_text("utf-8"))
-    whole["jobs"] = [one.model_dump(mode="json") for one in jobs]
-    (tmp_path / "r.json").write_text(json.dumps(whole), "utf-8")
-    lines = light_and_material(load(tmp_path / "r.json")).splitlines()[2:]
-    rows = [[cell.strip().replace("\u00a0", " ") for cell in line.split("|")[1:-1]] for line in lines]
+    dumped = [one.model_dump(mode="json") for one in jobs]
+    rows = rows_of(light_and_material(with_jobs("differentiable", dumped, tmp_path)))
     assert rows[0] == ["**AlexNet**", "paper", "233", "29.6 · 25.8", "", "–", "18.9 · 25.8", "", "–"]
     assert rows[1][1:6] == ["one look", "2", "**100.0 · 20.0**", "34.2–100.0", "4.0"]
     assert rows[1][6:] == ["", "", ""]

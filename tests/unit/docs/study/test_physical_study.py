@@ -2,35 +2,23 @@
 
 import json
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from benchmarks.study import physical
 from benchmarks.study.pages import PHYSICAL
 from benchmarks.study.record import load
+from benchmarks.study.tables import SETTING
 from scene_attack.analysis.verdict import wilson
 from scene_attack.runs.campaign_spec import parse
-from tests.unit.docs.study.test_study_records import SMALL, raw, won
+from tests.unit.docs.study.test_study_records import SMALL, raw, rows_of, with_jobs, won
 
 EXAMPLES = Path(__file__).parents[4] / "examples"
 
 
-def cells(line: str) -> list[str]:
-    return [cell.strip() for cell in line.replace("\u00a0", " ").split("|")[1:-1]]
-
-
-def changed(tmp_path: Path, name: str, jobs: list[dict[str, Any]]) -> Path:
-    """A record with other jobs."""
-    whole = json.loads((SMALL / f"{name}.json").read_text("utf-8")) | {"jobs": jobs}
-    (tmp_path / f"{name}.json").write_text(json.dumps(whole), "utf-8")
-    return tmp_path / f"{name}.json"
-
-
 def test_a_row_counts_the_verified_successes_of_its_jobs() -> None:
     jobs = raw(SMALL / "physical.json")
-    lines = physical.changes([load(SMALL / "physical.json")]).splitlines()
-    rows = {row[-6]: row for row in map(cells, lines[2:])}
+    rows = {row[-6]: row for row in rows_of(physical.changes([load(SMALL / "physical.json")]))}
     assert rows["paper: normals"][-5:] == ["233", "88.4", "", "9.3", ""]
     assert "paper: image" not in rows  # no change of a scene
     assert "bump, 0.2" not in rows  # has a table of its own
@@ -50,8 +38,7 @@ def test_views_are_counted_by_the_share_that_the_object_covers(tmp_path: Path) -
         for job, covered in zip(raw(SMALL / "physical.json"), [100, 149, 150, 999] * 4, strict=False)
         if job["attack"] == "normals"
     ]
-    text = physical.by_coverage([load(changed(tmp_path, "physical", jobs))])
-    rows = [cells(line)[1:] for line in text.splitlines()[2:]]
+    rows = [row[1:] for row in rows_of(physical.by_coverage([with_jobs("physical", jobs, tmp_path)]))]
     counts = dict.fromkeys(("below 10 %", "10–15 %", "15–20 %", "20 % and more"), 0)
     for job in jobs:
         share = job["covered"] / 1000
@@ -65,7 +52,7 @@ def test_wavelengths_are_compared_on_the_views_that_all_of_them_attacked(tmp_pat
     jobs = raw(SMALL / "physical.json")
     shared = {job["scene"] for job in jobs if job["attack"] == "bump, 0.2"}
     text = physical.by_wavelength(load(SMALL / "physical.json"))
-    assert [cells(line)[1:3] for line in text.splitlines()[2:]] == [
+    assert [row[1:3] for row in rows_of(text)] == [
         ["0.1", str(len(shared))],
         ["0.2", str(len(shared))],
     ]
@@ -77,14 +64,14 @@ def test_wavelengths_are_compared_on_the_views_that_all_of_them_attacked(tmp_pat
         for job in jobs
     ]
     assert other != jobs
-    assert physical.by_wavelength(load(changed(tmp_path, "physical", other))) == text
+    assert physical.by_wavelength(with_jobs("physical", other, tmp_path)) == text
 
 
 def test_objects_are_counted_by_the_share_of_their_right_views(tmp_path: Path) -> None:
     """Of four views the network has two right: both fooled are all of them, and one is half."""
     dented = [job for job in raw(SMALL / "around.json") if job["attack"] == "bump"]
     jobs = [job | {"around": {"views": 4, "right": 2, "fooled": number}} for number, job in enumerate(dented, 1)]
-    rows = [cells(line) for line in physical.around(load(changed(tmp_path, "around", jobs))).splitlines()[2:]]
+    rows = rows_of(physical.around(with_jobs("around", jobs, tmp_path)))
     assert [row[-1].partition(" · ")[0] for row in rows] == [
         "2 of 2",  # the wardrobe, which covers more of the image
         "1 of 2",
@@ -97,8 +84,8 @@ def test_objects_are_counted_by_the_share_of_their_right_views(tmp_path: Path) -
 
 def test_a_view_that_was_wrong_already_is_no_view_that_was_fooled(tmp_path: Path) -> None:
     jobs = [job | {"around": {"views": 4, "right": 0, "fooled": 0}} for job in raw(SMALL / "around.json")]
-    rows = physical.around(load(changed(tmp_path, "around", jobs))).splitlines()[-len(physical.SHARES) :]
-    assert {cell for row in rows for cell in cells(row)[-2:]} == {"0 of 2"}
+    rows = rows_of(physical.around(with_jobs("around", jobs, tmp_path)))[-len(physical.SHARES) :]
+    assert {cell for row in rows for cell in row[-2:]} == {"0 of 2"}
 
 
 def test_the_page_has_every_part_and_says_the_changes_in_words() -> None:
@@ -114,7 +101,7 @@ def test_the_page_has_every_part_and_says_the_changes_in_words() -> None:
 def test_what_the_page_says_of_a_campaign_is_so(name: str) -> None:
     spec = parse(json.loads((EXAMPLES / f"{name}.json").read_text("utf-8")))
     for grid in spec.grids:
-        assert all(scene.objects[0].material == "plastic" for scene in grid.scenes.scenes()[:1])
+        assert grid.scenes.material == "plastic"
         for column in grid.attacks:
             attack = column.attack
             assert (attack.method, attack.truncation) == ("fgsm", None)
@@ -123,5 +110,5 @@ def test_what_the_page_says_of_a_campaign_is_so(name: str) -> None:
                 assert attack.expectation is not None
                 assert (attack.expectation.azimuth, attack.expectation.checks) == (180, 16)
                 assert (attack.expectation.samples == 0) == column.name.endswith("one view")
-            elif physical.SETTING in column.name:
-                assert attack.wavelength == float(column.name.partition(physical.SETTING)[2])
+            elif SETTING in column.name:
+                assert attack.wavelength == float(column.name.partition(SETTING)[2])

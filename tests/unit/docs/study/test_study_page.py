@@ -10,7 +10,7 @@ from benchmarks.study import equal_p, tables
 from benchmarks.study.pages import CLASSIFICATION
 from benchmarks.study.record import load
 from scene_attack.runs.campaign_spec import parse
-from tests.unit.docs.study.test_study_records import SMALL, job, raw, won
+from tests.unit.docs.study.test_study_records import SMALL, job, raw, with_jobs, won
 
 PAGE, files = CLASSIFICATION.name, CLASSIFICATION.files
 TABLE_1 = {
@@ -72,10 +72,7 @@ def test_successes_are_counted_by_the_share_of_the_image_that_shows_the_object(t
         job(0.01, "c", attack="combined", scene="b", covered=150, pixels=1000),
         job(0.01, "d", attack="image", scene="d", covered=90, pixels=1000),
     ]
-    whole = json.loads((SMALL / "differentiable.json").read_text("utf-8"))
-    whole["jobs"] = [one.model_dump(mode="json") for one in jobs]
-    (tmp_path / "r.json").write_text(json.dumps(whole), "utf-8")
-    record = load(tmp_path / "r.json")
+    record = with_jobs("differentiable", [one.model_dump(mode="json") for one in jobs], tmp_path)
     _, _, thin, broad, _, said = tables.by_coverage([record]).splitlines()
     mesh = jobs[0].mesh.rpartition("/")[2]
     assert [cell.strip() for cell in thin.split("|")][2:8] == [

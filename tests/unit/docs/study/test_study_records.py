@@ -28,6 +28,19 @@ def raw(path: Path) -> list[dict[str, Any]]:
     return list(json.loads(path.read_text("utf-8"))["jobs"])
 
 
+def with_jobs(name: str, jobs: list[dict[str, Any]], folder: Path) -> Record:
+    """The small record of a campaign with other jobs, by way of a file in `folder`."""
+    whole = json.loads((SMALL / f"{name}.json").read_text("utf-8")) | {"jobs": jobs}
+    (folder / f"{name}.json").write_text(json.dumps(whole), "utf-8")
+    return load(folder / f"{name}.json")
+
+
+def rows_of(table: str) -> list[list[str]]:
+    """The cells of a Markdown table below its head, with plain spaces."""
+    lines = table.replace("\u00a0", " ").splitlines()[2:]
+    return [[cell.strip() for cell in line.split("|")[1:-1]] for line in lines]
+
+
 def won(job: dict[str, Any]) -> bool:
     return job.get("outcome") == "fooled" and bool(job.get("verified"))
 
