@@ -246,7 +246,8 @@ def test_each_object_is_limited_by_its_own_dents() -> None:
     given[1] *= 0.3
     drawn = limited(given)
     assert torch.equal(drawn[1], given[1])
-    assert torch.equal(drawn[:1], limited(given[:1]))
+    # Sums over several objects at once may be added in another order than over one.
+    torch.testing.assert_close(drawn[:1], limited(given[:1]), rtol=1e-12, atol=0.0)
     assert not torch.equal(drawn[0], given[0])
 
 
