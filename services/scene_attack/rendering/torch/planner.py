@@ -256,7 +256,8 @@ PAIRS = 2**18
 def gradient_errors(
     surface: Surface, sky: Sky, illumination: Tensor, groups: Sequence[str], recipe: Recipe, exact: Recipe
 ) -> list[GradientError]:
-    """Measures the error of each attacked group's gradient at a sample of a surface's pixels, in the order of `groups`.
+    """Measures the error of each attacked group's gradient at a sample of a surface's pixels, in the order of `groups`:
+    of those that are shaded, not of those that move surfaces.
 
     The gradient is that of a sum of the displayed values with normally distributed random weights. This is harsher than
     a network, whose weights are smooth: errors of neighbouring pixels do not cancel. The displayed values of a layer
@@ -272,6 +273,7 @@ def gradient_errors(
     values["paint"] = sample.base_color
     if "illumination_rgb" in groups:
         values["illumination_rgb"] = illumination.new_zeros(3, len(illumination))
+    groups = [group for group in groups if group in values]
     gradients = []
     for compared in (replace(recipe, guard=None), exact):
         leaves = {
@@ -284,7 +286,7 @@ def gradient_errors(
         radiance = shader(leaves["normals"], light, leaves["material"])
         displayed = to_display(radiance * leaves["paint"])
         total = (displayed * weights.to(compared.dtype)).sum()
-        if not total.requires_grad:  # nothing is attacked, or no light reaches the surface whatever is changed
+        if not total.requires_grad:  # nothing shaded is attacked, or no light reaches the surface whatever is changed
             return []
         gradients.append(torch.autograd.grad(total, [leaves[name] for name in groups], materialize_grads=True))
     return [
@@ -670,8 +672,9 @@ def _method(recipe: Recipe, groups: Sequence[str], nodes: int, looked_up: bool, 
     if "material" in groups or near:
         return "summed"
     if attacks_light(groups):
-        fits = _transport_bytes(recipe, nodes) <= TRANSPORT_BYTES
-        return "precomputed_transport" if "normals" not in groups and fits else "summed"
+        # Stored factors do not see normals, by which a shape has its gradient.
+        fits = _transport_bytes(recipe, nodes) <= TRANSPORT_BYTES and not {"normals", "shape"} & set(groups)
+        return "precomputed_transport" if fits else "summed"
     return "cached_table" if looked_up else "summed"
 
 

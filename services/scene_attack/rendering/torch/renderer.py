@@ -216,9 +216,7 @@ class TorchRenderer(DeclaredRenderer):
 
         def compiled_plan() -> tuple[list[Recipe], Plan]:
             n_pixels = self._canvas.n_pixels
-            planned = tuple(
-                dict.fromkeys(TURNED_INTO.get(group, group) for group in groups if group not in TORCH.moving_groups)
-            )
+            planned = tuple(dict.fromkeys(TURNED_INTO.get(group, group) for group in groups))
             hardest = [*self._hardest(surfaces, rounded["material"])]
             return compile_plan(hardest, sky, intensity, planned, tolerance, self.size, items, n_pixels, few_images)
 
@@ -246,8 +244,7 @@ class TorchRenderer(DeclaredRenderer):
     @cached_property
     def _elsewhere(self) -> MovedScenes:
         """The renderers of the scene from other cameras and with its objects elsewhere or in other shapes."""
-        groups = tuple(group for group in self._attacked if group not in TORCH.moving_groups)
-        wavelength = 2 / self._lattice.cells
+        groups, wavelength = self._attacked, 2 / self._lattice.cells
 
         def make(scene: ResolvedScene, bent: Shape | None) -> TorchRenderer:
             return TorchRenderer(

@@ -222,6 +222,24 @@ def test_gradient_is_that_of_the_normals_inside_the_outlines() -> None:
 # Together with the other groups
 
 
+@pytest.mark.parametrize("height", [0.0, 10.0])
+@pytest.mark.parametrize("other", [None, "lamp", "illumination", "illumination_rgb", "material", "dials", "camera"])
+def test_a_planned_gradient_is_the_exact_one_whatever_else_is_attacked(other: str | None, height: float) -> None:
+    """Where light alone changes, factors at fixed normals are stored, and a shape would have no gradient by them."""
+    scene = described()
+    groups = ("shape",) if other is None else ("shape", other)
+    weights = torch.randn(1, 48, 48, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
+    gradients = []
+    for tolerance in (1e-3, "exact"):
+        renderer = bent(scene, groups, tolerance)
+        leaf = as_values(waves(height))[None].to(renderer.initial()["shape"].dtype).requires_grad_()
+        rest = {} if other is None else {other: renderer.initial()[other][None]}
+        image = renderer.render({"shape": leaf} | rest).double()
+        gradients.append(torch.autograd.grad((image * weights).sum(), leaf)[0].double())
+    planned, exact = gradients
+    assert float((planned - exact).norm()) < 0.02 * float(exact.norm())
+
+
 def test_dents_and_paint_keep_their_places_on_a_bent_object() -> None:
     """A point has the dents and the paint that it had before the object was bent."""
     scene, shape = sphere(None, 200), Shape.of(as_values(waves(LARGEST)))
