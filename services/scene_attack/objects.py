@@ -128,7 +128,7 @@ class Result:
         """The finding: the answers, whether the new one is verified, p, and a line for each thing that changed."""
         verified = "verified" if self.verified else "not verified"
         answers = f"{self.original.label} → {self.attacked.label}, {verified}, p = {self.perceptibility:.4f}"
-        return "\n".join([answers, *(f"{thing.subject}: {thing.sentence}" for thing in self.record.change.things)])
+        return "\n".join([answers, *self.record.findings])
 
     def save(self, folder: Path | str) -> None:
         """Writes the files into a folder. Raises InvalidRequest("folder") if it holds the result of another job."""

@@ -271,6 +271,11 @@ class HeldOver(Record):
     wrong_share: float = Field(description="for comparison: share of all variations whose clean image is wrong already")
     wrong_interval: tuple[float, float]
 
+    @property
+    def sentence(self) -> str:
+        """How far it holds: "over its range it fools 21 of the 24 fresh variations that the network has right"."""
+        return f"over its range it fools {self.fooled} of the {self.right} fresh variations that the network has right"
+
 
 class Analyses(Record):
     """The analyses that the request asked for; null for those that it did not name."""

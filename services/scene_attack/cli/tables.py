@@ -18,7 +18,6 @@ from scene_attack.analysis.records import (
 )
 from scene_attack.analysis.verdict import SUCCESS, WRONG_BEFORE, Verdict, held_within
 from scene_attack.cli.console import FittedTable, answer_text, remark, say, yes
-from scene_attack.rendering.physical_change import Change
 from scene_attack.runs.result import JobWarning, Outcome
 from scene_attack.runs.spec import asked_of
 from scene_attack.runs.task_parts import Part
@@ -106,11 +105,6 @@ STRONGEST = 20
 """Number of coordinates that a table shows, those of the largest Shapley values; the JSON has all."""
 
 FIT_COLUMNS = ("ℓ1 at the start ×1e-3>", "ℓ1 at best ×1e-3>")
-
-
-def print_changes(things: Sequence[Change]) -> None:
-    """Prints the finding in words, a line for each thing that changed."""
-    say(*(f"{thing.subject}: {thing.sentence}" for thing in things))
 
 
 def print_subsets(rows: Sequence[Subset], attribution: Attribution) -> None:

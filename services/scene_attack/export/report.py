@@ -99,6 +99,7 @@ def readme(
         target=spec.target.name,
         job=job,
         sentence=sentence(result),
+        findings=result.findings,
         files=[(path, content(path)) for path in dict.fromkeys(map(_listed, paths))],
         missing=[missing for target in targets if (missing := target.missing(FOLDER)) is not None],
         written_by=result.provenance.versions.get("scene-attack", version("scene-attack")),

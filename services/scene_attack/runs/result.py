@@ -253,6 +253,12 @@ class Result(_Record):
         """The paper's p(ΔY) of the stored perturbation, in [0, √3]: of its exact image before it is rounded."""
         return self.change.float_perceptibility
 
+    @property
+    def findings(self) -> list[str]:
+        """What the attack did to each thing in the scene, and for how much of its range that holds, as sentences."""
+        things = [f"{thing.subject}: {thing.sentence}" for thing in self.change.things]
+        return things if self.expectation is None else [*things, self.expectation.sentence]
+
 
 class Outcome(BaseModel):
     """The verdict, the network's answers and the cost of a finished job."""

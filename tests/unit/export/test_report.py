@@ -34,6 +34,16 @@ def test_the_report_has_its_images_in_it_and_asks_for_nothing_else() -> None:
     assert not [tag for tag, attributes in page.found if tag in ("script", "link", "iframe") or "href" in attributes]
 
 
+def test_the_finding_is_said_in_words_with_the_range_for_which_it_holds() -> None:
+    given = result()
+    given["change"]["things"] = [{"group": "bump", "subject": "surface of <vase>", "sentence": "dented", "values": []}]
+    held = {"variations": 9, "right": 8, "fooled": 6, "share": 0.75, "interval": [0.4, 0.9]}
+    given["expectation"] = held | {"wrong_share": 1 / 9, "wrong_interval": [0.0, 0.4]}
+    text = report(Result.model_validate(given), "vase", NO_PARAMETERS, {}, None)
+    assert "<li>surface of &lt;vase&gt;: dented</li>" in text
+    assert "<li>over its range it fools 6 of the 8 fresh variations that the network has right</li>" in text
+
+
 def test_groups_have_the_same_words_in_every_table() -> None:
     text = report(Result.model_validate(result(steps=1)), "vase", NO_PARAMETERS, {}, "0f3c")
     assert text.count('<th scope="row">surface normals</th>') == 2  # a subset and a share

@@ -153,7 +153,6 @@ def _table(jobs: list["JobView"]) -> FittedTable:
 
 def _say_finding(job: "JobView") -> None:
     """Prints what fooled the network in words, if it was a change that a thing or a room could have."""
-    from scene_attack.cli.tables import print_changes
     from scene_attack.rendering.declaration import RENDERERS
     from scene_attack.runs.result import Result
 
@@ -162,7 +161,7 @@ def _say_finding(job: "JobView") -> None:
         attack: Any = result.spec["attack"]
         if set(attack["groups"]) <= set(RENDERERS[attack["renderer"]].natural_groups):
             say(f"{_name(job)}: {result.original.label} → {result.attacked.label}")
-            print_changes(result.change.things)
+            say(*result.findings)
 
 
 def _name(job: "JobView") -> str:

@@ -109,14 +109,14 @@ def print_job(job: JobView, as_json: bool) -> None:
     if as_json:
         print_json(job)
         return
-    from scene_attack.cli.tables import COLUMNS, SPARE, cells, print_changes, print_tasks
+    from scene_attack.cli.tables import COLUMNS, SPARE, cells, print_tasks
     from scene_attack.runs.result import Result
 
     scene = job.title or job.name
     if job.outcome is not None:
         say(FittedTable(COLUMNS, [cells(scene, job.attack, job.outcome)], spare=SPARE))
         if isinstance(job.result, Result):
-            print_changes(job.result.change.things)
+            say(*job.result.findings)
             print_tasks(job.result.tasks)
     else:
         row: list[str | Text] = [job.id, state_text(job.state), scene, job.attack]

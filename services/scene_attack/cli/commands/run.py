@@ -56,7 +56,6 @@ def run(
         cells,
         goal_line,
         print_analyses,
-        print_changes,
         print_subsets,
         print_tasks,
     )
@@ -87,7 +86,7 @@ def run(
     say(FittedTable(COLUMNS, [cells(name, attack, shown)]))
     if line_of_goal := goal_line(result.spec):
         say(line_of_goal)
-    print_changes(result.change.things)
+    say(*result.findings)
     print_tasks(result.tasks, out)
     print_subsets(result.subsets, result.attribution)
     print_analyses(result.analyses)

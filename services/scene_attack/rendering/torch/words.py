@@ -113,11 +113,11 @@ def dents(scene: ResolvedScene, renderer: Renderer, change: Tensor) -> Iterator[
     shares = torch.maximum(bump.steepness(change), change.abs().amax((1, 2, 3)) / bump.LARGEST).clamp_max(1.0)
     heights, slopes = places.heights(change), places.tilts(change) * degrees(1)
     for k, name in enumerate(object_names(scene.description, scene.titles)):
-        seen, (size, at_size) = places.shown.object_index == k, millimetres(scene, k)
+        seen, (size, unit, at_size) = places.shown.object_index == k, length(scene, k)
         if not bool(seen.any()) or not bool(change[k].any()):
             continue
         subject = f"surface of {name}"
-        typical, largest = _sizes("bump", subject, size * heights[seen], "height", "mm")
+        typical, largest = _sizes("bump", subject, size * heights[seen], "height", unit)
         steepest = PhysicalChange(
             group="bump", subject=subject, measure="steepest slope", value=float(slopes[seen].max()), unit="degrees"
         )
@@ -126,10 +126,14 @@ def dents(scene: ResolvedScene, renderer: Renderer, change: Tensor) -> Iterator[
         dented = Change(
             group="bump",
             subject=subject,
-            sentence=f"dented by {number(typical.value)} mm in the root mean square, {signed(largest.value)} mm at "
-            f"most, {at_size}, with slopes of up to {number(steepest.value)}°",
+            sentence=f"dented by {number(typical.value)} {unit} in the root mean square, {signed(largest.value)} {unit}"
+            f" at most where it is seen{at_size}, with slopes of up to {number(steepest.value)}°",
             values=[from_zero(value, subject) for value in (typical, largest, steepest, used)],
-            images=[ChangeImage(file="dents.png", words=f"heights: {number(most)} mm is red, {number(-most)} mm blue")],
+            images=[
+                ChangeImage(
+                    file="dents.png", words=f"heights: {number(most)} {unit} is red, {signed(-most)} {unit} blue"
+                )
+            ],
         )
         yield Worded(dented, [typical, largest, steepest, used])
 
@@ -142,32 +146,32 @@ def bent(scene: ResolvedScene, renderer: Renderer, change: Tensor) -> Iterator[W
     shares = torch.maximum(shape.steepness(change), change.abs().amax((1, 2, 3, 4)) / shape.LARGEST).clamp_max(1.0)
     distances = surfaces.places.values(shape.limited(change)).norm(dim=-1)
     for k, name in enumerate(object_names(scene.description, scene.titles)):
-        seen, (unit_of, at_size) = surfaces.shown.object_index == k, millimetres(scene, k)
+        seen, (size, unit, at_size) = surfaces.shown.object_index == k, length(scene, k)
         if not bool(seen.any()) or not bool(change[k].any()):
             continue
         subject = f"shape of {name}"
-        typical, largest = _sizes("shape", subject, unit_of * distances[seen], "distance", "mm")
+        typical, largest = _sizes("shape", subject, size * distances[seen], "distance", unit)
         used = share("shape", subject, float(shares[k]))
-        sentence = f"bent: its points moved by {number(typical.value)} mm in the root mean square, "
         changed = Change(
             group="shape",
             subject=subject,
-            sentence=f"{sentence}{number(largest.value)} mm at most, {at_size}",
+            sentence=f"bent by {number(typical.value)} {unit} in the root mean square, {number(largest.value)} {unit}"
+            f" at most where it is seen{at_size}",
             values=[from_zero(value, subject) for value in (typical, largest, used)],
             images=[
-                ChangeImage(file="shape.png", words=f"distances: from 0, white, to {number(largest.value)} mm, red")
+                ChangeImage(file="shape.png", words=f"distances: from 0, white, to {number(largest.value)} {unit}, red")
             ],
         )
         yield Worded(changed, [typical, largest, used])
 
 
-def millimetres(scene: ResolvedScene, k: int) -> tuple[float, str]:
-    """Millimetres of a thousandth of the size of object `k`, and words for the size."""
+def length(scene: ResolvedScene, k: int) -> tuple[float, str, str]:
+    """A thousandth of the size of object `k`, the unit of that number, and words for the size where it is known."""
     mesh = scene.meshes[k]
     if mesh.centimetres is None:
-        return 1.0, "if it is 1 m large"
+        return 0.1, "% of its size", ""
     size = 2 * FIT_RADIUS * mesh.centimetres * scene.description.objects[k].scale / 100
-    return size, f"at its size of {number(100 * size)} cm"
+    return size, "mm", f", at its size of {number(100 * size)} cm"
 
 
 def share(group: str, subject: str, used: float) -> PhysicalChange:
@@ -236,7 +240,7 @@ def dials_turned(scene: ResolvedScene, renderer: Renderer, change: Tensor) -> It
         turned = Change(
             group="dials",
             subject=subject,
-            sentence=f"became {listed(words)}, with {number(100 * used)} % of its natural range",
+            sentence=f"became {listed(words)}, by {number(100 * used)} % of its natural range",
             values=[from_zero(size, subject) for size in sizes],
             curves=lobe_curves(before[k], (after - before)[k].cpu()),
         )
@@ -302,7 +306,7 @@ def _noticeable(change: Tensor, before: Mapping[str, float], after: Mapping[str,
         f"turned by {signed(after['turn'])}°": turned,
         f"{number(abs(brighter))} % {'brighter' if brighter > 0 else 'dimmer'}": dimmed,
         f"{after['colour temperature']:,.0f} K in place of {before['colour temperature']:,.0f} K": tinted,
-        f"with a lamp of {number(after['power of the lamp'])} % of its power at azimuth {'−' * (azimuth < 0)}"
+        f"with a lamp of {number(after['power of the lamp'])} % of the map's power at azimuth {'−' * (azimuth < 0)}"
         f"{abs(azimuth)}°, elevation {after['elevation of the lamp']:.0f}°, of "
         f"{after['radius of the lamp']:.0f}° in radius": is_lit,
     }

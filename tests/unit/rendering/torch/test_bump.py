@@ -280,6 +280,7 @@ def test_a_result_says_its_dents_in_millimetres(result: sa.Result) -> None:
     assert change.group == "bump"
     assert "mm" in change.sentence
     assert "slopes of up to" in change.sentence
+    assert "at its size of" in change.sentence
     share = [value.after for value in change.values if value.unit == "%"]
     coefficients = result.perturbation["bump"]
     assert share == [pytest.approx(100 * float(abs(coefficients).max()) / LARGEST)]

@@ -282,8 +282,8 @@ def test_sentences() -> None:
         radius=-0.42,
     )
     assert sentence(everything) == (
-        "turned by +12°, 8 % dimmer, 4,287 K in place of 3,815 K, with a lamp of 20 % of its power at azimuth 40°, "
-        "elevation 55°, of 15° in radius"
+        "turned by +12°, 8 % dimmer, 4,287 K in place of 3,815 K, with a lamp of 20 % of the map's power at azimuth "
+        "40°, elevation 55°, of 15° in radius"
     )
     assert "at azimuth −135°," in sentence(values(power=0.2, azimuth=1.0))
     assert sentence(values(turn=0.005, brightness=1.0, azimuth=1.0)) == "100 % brighter"

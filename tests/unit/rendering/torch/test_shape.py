@@ -18,6 +18,7 @@ from scene_attack.process import options
 from scene_attack.rendering.torch.renderer import TorchRenderer
 from scene_attack.rendering.torch.shape import LARGEST, STEEPEST, Shape, limited
 from scene_attack.rendering.torch.table import to_angles
+from scene_attack.rendering.torch.words import worded
 from scene_attack.runs.spec import parse
 from scene_attack.scenes.library import Library
 from scene_attack.scenes.mesh import FIT_RADIUS, Mesh
@@ -324,6 +325,17 @@ def test_what_cannot_be_attacked_is_said(attack: dict[str, Any], words: str) -> 
 
 
 # Results
+
+
+def test_a_shape_of_unknown_size_is_said_in_parts_of_the_size() -> None:
+    scene, shape = described(), Shape.of(as_values(waves(8.0)))
+    [bent_by] = worded(scene, bent(scene), {"shape": shape.drawn})
+    points = in_its_frame(scene, bent(scene).bump, 0)[1]
+    distances = np.linalg.norm(displacement(points, waves(8.0)), axis=1) / (2 * FIT_RADIUS)
+    largest = next(size for size in bent_by.sizes if size.measure == "largest distance")
+    assert largest.value == pytest.approx(100 * distances.max(), rel=1e-6)
+    assert largest.unit == "% of its size"
+    assert bent_by.change.sentence.endswith(f" {largest.value:.2g} % of its size at most where it is seen")
 
 
 @pytest.fixture(scope="module")
