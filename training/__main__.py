@@ -27,7 +27,7 @@ OneLook = Annotated[
     bool,
     typer.Option(
         "--one-look",
-        help="Know one light and one material, as the paper's networks do; written as a folder for `targets add`.",
+        help="Know one light and one material, as the paper's networks do; for SCENE_ATTACK_TARGETS, not shipped.",
     ),
 ]
 LINE_SECONDS = 30.0
@@ -181,7 +181,8 @@ def _train(
         trained = load_trained(recipe, len(chosen.classes), checkpoint)
         if is_one_look:
             folder = write_target(recipe, trained, chosen, out)
-            stdout().print(f"scene-attack targets add {folder}", markup=False, highlight=False)
+            command = f"SCENE_ATTACK_TARGETS={out} scene-attack targets check {folder.name}"
+            stdout().print(command, markup=False, highlight=False)
             return
         written = write(recipe, trained, chosen, library, options.cache_dir, out, said)
     stdout().print(written.summary, markup=False, highlight=False)

@@ -180,7 +180,7 @@ def write(
 
 
 def write_target(recipe: Recipe, trained: Trained, split: Split, out: Path) -> Path:
-    """Writes a trained network as a folder that `scene-attack targets add` takes, and returns the folder."""
+    """Writes a trained network as a folder of a network (docs/targets.md), and returns the folder."""
     folder, labels = out / recipe.name, list(split.classes)
     network = architecture(recipe.network, len(labels), dequantize(quantize(weights(trained.network))))
     card = {
