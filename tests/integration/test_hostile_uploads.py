@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import httpx
+import numpy as np
 import psutil
 import pytest
 
@@ -91,6 +92,23 @@ def test_hostile_meshes_are_refused_and_leave_the_service_as_it_was(stack: Stack
     assert upload(stack, BOXES["off"], "off").status_code == 201
     assert stack.client.get("/readyz").status_code == 200
     assert memory(stack) < before + GROWTH
+
+
+def long_triangles(count: int) -> bytes:
+    """An obj of triangles between random places of a sphere: of 2,000 a shape makes seven million."""
+    places = np.random.default_rng(0).normal(size=(3 * count, 3))
+    lines = [f"v {x:.4f} {y:.4f} {z:.4f}" for x, y, z in places / np.linalg.norm(places, axis=1, keepdims=True)]
+    return "\n".join(lines + [f"f {3 * k + 1} {3 * k + 2} {3 * k + 3}" for k in range(count)]).encode()
+
+
+def test_a_mesh_that_cannot_be_divided_is_refused_where_it_would_be_bent(stack: Stack) -> None:
+    """Its triangles would take gigabytes; only in the first step, long after the request was accepted."""
+    mesh = upload(stack, long_triangles(2_000), "obj").json()["name"]
+    spec = {"scene": SMALL | {"objects": [{"mesh": mesh}]}, "attack": {"renderer": "torch", "groups": ["shape"]}}
+    answer = stack.client.post("/v1/jobs", json=spec)
+    if answer.status_code == 202:
+        stack.client.post(f"/v1/jobs/{answer.json()['id']}/cancel")
+    assert refusal(answer) == ["scene.objects.0.mesh"]
 
 
 def test_hostile_images_are_refused_and_leave_the_service_as_it_was(stack: Stack) -> None:

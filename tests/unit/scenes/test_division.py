@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from scene_attack.process import options
-from scene_attack.scenes.division import divided
+from scene_attack.scenes.division import divided, pieces
 from scene_attack.scenes.library import Library
 from scene_attack.scenes.mesh import FIT_RADIUS, Mesh
 from scene_attack.scenes.resolve import with_surface_of_part
@@ -85,3 +85,10 @@ def test_short_edges_stay_as_they_are() -> None:
     [part] = divided(mesh, 0.1).parts
     np.testing.assert_array_equal(part.faces, mesh.parts[0].faces)
     np.testing.assert_array_equal(part.vertices, mesh.parts[0].vertices)
+
+
+@pytest.mark.parametrize("name", ["primitive/cube", "primitive/cylinder", "furniture/desk-lamp", "furniture/chair"])
+def test_their_number_is_known_beforehand(name: str) -> None:
+    """Slivers, of which only two edges are long, among them: a cylinder has 512, which become 600 each."""
+    mesh = named(name)
+    assert 0.9 < pieces(mesh, LONGEST) / divided(mesh, LONGEST).triangles < 2

@@ -128,7 +128,7 @@ TORCH = Declaration(
             suggested_limit=20.0,
             moves=True,
             natural_range="20 mm each way at a size of 1 m, in waves of at least 100 mm, nothing turned by more than "
-            "30° or longer or shorter by more than half",
+            "36° or longer or shorter by more than 60 %",
             by_default=False,
         ),
         replace(

@@ -3,7 +3,8 @@ the object, not of the image, and the same from every view.
 
 The function is a sum of tensor products of cubic B-splines (Unser 1999, eq. 4). It needs no map of the surface and no
 mesh without holes, it is twice continuously differentiable, never beyond its largest coefficient, and it has nearly
-nothing of waves shorter than two cells. The size of an object is the diameter of its bounding sphere.
+nothing of waves shorter than two cells along an axis, and little of those down to 1.2 cells that run diagonally. The
+size of an object is the diameter of its bounding sphere.
 """
 
 from collections.abc import Callable, Iterator
@@ -24,7 +25,8 @@ CHUNK = 16_384
 """Surfaces whose 64 nodes each are held at a time: 25 MB in float64."""
 PER_CELL = 2
 """Places along each edge of a cell at which slopes are limited: its node and its middle, where steep waves are
-steepest. Between them slopes are up to 6 % larger, and the norms of three gradients up to 9 %, for random signs."""
+steepest. Between them slopes are up to 6 % larger, by linear programs over the coefficients; `shape.STEEPEST` says what
+the norms of three gradients are."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +37,7 @@ class Lattice:
 
     @classmethod
     def of(cls, wavelength: float) -> "Lattice":
-        """The finest one that has no shorter waves than `wavelength`, in sizes of the object."""
+        """The finest one that has no shorter waves along an axis than `wavelength`, in sizes of the object."""
         return cls(floor(2 / wavelength + 1e-9))
 
     @classmethod

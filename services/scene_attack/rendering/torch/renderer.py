@@ -231,7 +231,9 @@ class TorchRenderer(DeclaredRenderer):
 
     @classmethod
     def build(cls, request: BuildRequest) -> "TorchRenderer":
-        """Rasterises the request's scene and makes its renderer."""
+        """Rasterises the request's scene and makes its renderer. Raises InvalidRequest as `shape.check_meshes` does."""
+        if "shape" in request.groups:
+            shape.check_meshes(request.scene, Lattice.of(request.wavelength))
         return cls(request.scene, None, request.groups, request.tolerance, wavelength=request.wavelength)
 
     @cached_property

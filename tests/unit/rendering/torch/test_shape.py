@@ -15,10 +15,15 @@ import scene_attack as sa
 from scene_attack.errors import InvalidRequest
 from scene_attack.export.bundle import read_finished
 from scene_attack.process import options
+from scene_attack.rendering.declaration import BuildRequest
+from scene_attack.rendering.physical_change import worded
+from scene_attack.rendering.torch import bump
+from scene_attack.rendering.torch.bump import UNIT
+from scene_attack.rendering.torch.lattice import Lattice, Places
 from scene_attack.rendering.torch.renderer import TorchRenderer
 from scene_attack.rendering.torch.shape import LARGEST, STEEPEST, Shape, limited
+from scene_attack.rendering.torch.shape import bent as changed
 from scene_attack.rendering.torch.table import to_angles
-from scene_attack.rendering.torch.words import worded
 from scene_attack.runs.spec import parse
 from scene_attack.scenes.library import Library
 from scene_attack.scenes.mesh import FIT_RADIUS, Mesh
@@ -175,8 +180,24 @@ def test_nothing_is_turned_stretched_or_moved_beyond_the_declared_range() -> Non
     assert max(most) <= 0.5
     assert max(most) > 0.95 * STEEPEST  # no less than it may be
     declared = str(TorchRenderer.declaration.group("shape").natural_range)
-    assert "30°" in declared
+    assert "36°" in declared
     assert f"{LARGEST:.0f} mm" in declared
+
+
+def test_what_an_ascent_finds_between_the_limited_places_is_declared() -> None:
+    """Coefficients made to be steep where nobody looks: steeper than at any limited place, and no steeper than said."""
+    coarse, largest = Lattice.of(0.4), 4 * LARGEST  # as steep as a lattice of a tenth, with fewer nodes
+    random = torch.Generator().manual_seed(0)
+    given = largest * (2 * torch.rand(1, *[coarse.nodes] * 3, 3, dtype=torch.float64, generator=random) - 1)
+    quarter = torch.full((1, 3), -0.25 * coarse.spacing, dtype=torch.float64)  # of the middle one of five cells
+    places = Places.on(coarse, quarter, 0)
+    for step in range(300):
+        leaf = given.requires_grad_()
+        (slope,) = torch.autograd.grad(places.gradients(limited(leaf)).norm(), leaf)
+        given = (leaf + largest * 0.985**step * slope / slope.abs().max()).clamp(-largest, largest).detach()
+    gradient = UNIT * places.gradients(limited(given))[0]
+    assert float(gradient.norm()) > 1.15 * STEEPEST
+    assert float(torch.linalg.matrix_norm(gradient, ord=2)) < np.sin(np.radians(36))
 
 
 # Gradients
@@ -239,6 +260,12 @@ def test_a_planned_gradient_is_the_exact_one_whatever_else_is_attacked(other: st
         gradients.append(torch.autograd.grad((image * weights).sum(), leaf)[0].double())
     planned, exact = gradients
     assert float((planned - exact).norm()) < 0.02 * float(exact.norm())
+
+
+def test_a_shape_is_attacked_over_a_range_of_light() -> None:
+    """`expectation.intensity` moves the light, so the plan is one for light."""
+    ran = attacked("shape", steps=2, expectation={"intensity": 0.2, "samples": 1, "checks": 1})
+    assert ran.record.trace[-1].perceptibility > 0
 
 
 def test_dents_and_paint_keep_their_places_on_a_bent_object() -> None:
@@ -383,3 +410,54 @@ def test_dents_are_exported_as_normals(tmp_path: Path) -> None:
     count = len(found["before"])
     np.testing.assert_array_equal(found["after"][:count], found["before"])
     assert abs(found["normals after"][:count] - found["normals before"]).max() > 0.02
+
+
+def test_exported_dents_are_the_normals_of_the_raised_surface() -> None:
+    """Of limited dents, by scipy's splines at the vertices."""
+    scene, given = described(), dents.random_dents(largest=LARGEST)
+    [part], [own] = (of.meshes[0].parts for of in (changed(scene, {"bump": torch.from_numpy(given)}), scene))
+    points, normals = own.vertices.astype(np.float64), own.normals.astype(np.float64)
+    slopes = dents.gradient(points, bump.limited(torch.from_numpy(given))[0].numpy())
+    after = normals - slopes + (slopes * normals).sum(axis=1, keepdims=True) * normals
+    after /= np.linalg.norm(after, axis=1, keepdims=True)
+    np.testing.assert_array_equal(part.vertices[: len(points)], own.vertices)
+    np.testing.assert_allclose(part.normals[: len(points)], after, atol=1e-6)
+    assert abs(after - normals).max() > 0.3
+
+
+def test_words_are_of_the_shape_that_is_drawn() -> None:
+    scene, given = described(), dents_of_all_kinds(1)
+    renderer = bent(scene)
+    [thing] = worded(scene, renderer, {"shape": as_values(given)})
+    _, points = in_its_frame(scene, renderer.bump, 0)
+    drawn = limited(as_values(given))[0].numpy()
+    assert abs(drawn - given).max() > 1
+    points = points.clip(-FIT_RADIUS, FIT_RADIUS)  # the middle of a pixel at an outline may be beside the object
+    distances = 100 / (2 * FIT_RADIUS) * np.linalg.norm(displacement(points, drawn), axis=1)
+    wanted = np.sqrt((distances**2).mean()), distances.max(), 100
+    assert [size.value for size in thing.sizes] == pytest.approx(wanted, rel=1e-3)
+
+
+def test_flat_triangles_are_divided_to_a_sixth_of_a_wave() -> None:
+    [mesh] = Shape.of(as_values(waves(6.0))).meshes(described(objects=[{"mesh": "primitive/cube"}]).meshes)
+    part = mesh.parts[0]
+    corners = part.vertices[part.faces]
+    edges = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=-1)
+    assert edges.max() < 1.5 * 0.1 * 2 * FIT_RADIUS / 6  # nothing becomes longer by more than half
+
+
+def test_a_mesh_that_would_be_divided_without_end_is_refused_by_name() -> None:
+    """A thousand triangles across the whole object, which would be 4 million: refused by their number alone."""
+    corners = np.random.default_rng(0).normal(size=(3_000, 3))
+    corners *= FIT_RADIUS / np.linalg.norm(corners, axis=1, keepdims=True)
+    part = shapes.part(corners, np.arange(3_000).reshape(-1, 3), corners / FIT_RADIUS)
+    scene = shapes.placed(shapes.scene((32, 32)), Mesh((part,), "0" * 64, None))
+    request = BuildRequest(scene, ("shape",), "exact", None)
+    with pytest.raises(InvalidRequest, match=r"scene.objects.0.mesh.*some \d,\d+,\d+, and at most 2,000,000 are made"):
+        TorchRenderer.build(request)
+    TorchRenderer.build(replace(request, wavelength=0.4))
+
+
+def test_the_exact_twin_has_the_same_waves() -> None:
+    renderer = TorchRenderer(described(), groups=("bump",), wavelength=0.2)
+    assert renderer.exact().initial()["bump"].shape == renderer.initial()["bump"].shape == (1, 13, 13, 13)
