@@ -308,12 +308,10 @@ def _completed(settings: type[Attack], fields: dict[str, Any]) -> dict[str, Any]
     renderer = RENDERERS.get(data["renderer"]) if isinstance(data["renderer"], str) else None
     if renderer is None:
         return data
-    asked = data.get("groups")
-    if not asked:
-        data["groups"] = renderer.default_groups
-    elif isinstance(asked, (list, tuple)) and all(group in renderer.group_names for group in asked):
+    asked = data.get("groups", ())
+    if isinstance(asked, (list, tuple)) and all(group in renderer.group_names for group in asked):
         # the same request, whatever order it was written in
-        data["groups"] = sorted(asked, key=renderer.group_names.index)
+        data["groups"] = sorted(asked, key=renderer.group_names.index) or renderer.default_groups
     if data.get("base_renderer") is None:
         data["base_renderer"] = renderer.base_renderer
     return suggested(data, "epsilon", lambda group: group.suggested_limit if group.natural_range else None)
@@ -368,7 +366,7 @@ def suggested(data: dict[str, Any], field: str, suggestion: Callable[[Group], fl
     Data that is invalid is returned as it is; the field's own validation refuses it.
     """
     renderer = RENDERERS.get(str(data.get("renderer")))
-    stated, attacked = data.get(field) or {}, data.get("groups")
+    stated, attacked = data.get(field, {}), data.get("groups")
     if renderer is None or not isinstance(stated, dict) or not isinstance(attacked, list | tuple):
         return data
     values = {group.name: suggestion(group) for group in renderer.groups if group.name in attacked}
@@ -384,7 +382,7 @@ def in_scale(data: dict[str, Any], field: str, share: float) -> dict[str, Any]:
     """Request data with `field`, by default this share of each attacked group's scale: its ε, or without one the larger
     of `STEPS_OF_SCALE` of the steps and the ε that its renderer suggests.
     """
-    limits, stated = data.get("epsilon") or {}, data.get(field) or {}
+    limits, stated = data.get("epsilon", {}), data.get(field, {})
     if not isinstance(limits, dict) or not isinstance(stated, dict):
         return data
     values = {group: share * limit for group, limit in limits.items() if isinstance(limit, int | float)}

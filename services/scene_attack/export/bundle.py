@@ -105,6 +105,8 @@ def read_finished(files: Files, library: Library) -> Finished:
     spec = parse(result.spec)
     if missing := [group for group in spec.attack.groups if group not in perturbation]:
         raise InvalidRequest("result", f"its {PERTURBATION} has no {', '.join(missing)}")
+    if not all(change.isfinite().all() for change in perturbation.values()):
+        raise InvalidRequest("result", f"its {PERTURBATION} has values that are not finite")
     ordered = {group: perturbation[group] for group in spec.attack.groups}  # the file's order is that of a hash map
     scene = resolved_scene(spec, library)
     return Finished(job_name(result.spec, scene.titles), result, spec, scene, ordered)
@@ -132,10 +134,11 @@ def write_bundle(files: Files, library: Library, write: Write, job: str | None =
     else:
         for name in STOCK:
             put(name, resources("scene_attack.export").joinpath("stock", name).read_bytes())
+    normals = ("normals_before.npy", "normals_after.npy")
     of_groups = {
-        "normals": ("normals_before.npy", "normals_after.npy"),
-        "bump": ("normals_before.npy", "normals_after.npy", "scene_before.glb", "scene_after.glb"),
-        "shape": ("scene_before.glb", "scene_after.glb"),
+        "normals": normals,
+        "bump": (*normals, "scene_before.glb", "scene_after.glb"),
+        "shape": (*normals, "scene_before.glb", "scene_after.glb"),
         "paint": ("paint.png",),
         "illumination": ("environment_before.exr", "environment_after.exr"),
         "illumination_rgb": ("environment_before.exr", "environment_after.exr"),

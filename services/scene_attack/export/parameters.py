@@ -4,7 +4,7 @@ Of the torch renderer, normals are written as vectors, and light as a map: an Op
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,16 +14,16 @@ from pydantic import BaseModel, Field
 from torch import Tensor
 
 from scene_attack.extras import extra
-from scene_attack.rendering.declaration import RENDERERS
-from scene_attack.rendering.opengl.gbuffer import rasterise
+from scene_attack.rendering.declaration import RENDERERS, SHORTEST_WAVE
 from scene_attack.rendering.protocol import Parameters
 from scene_attack.rendering.pyrender.declaration import PYRENDER
 from scene_attack.rendering.pyrender.parameters import ENERGY, IRRADIANCE, SceneParameters
-from scene_attack.rendering.torch.bump import Bump
 from scene_attack.rendering.torch.lamp import Lamp
-from scene_attack.rendering.torch.lattice import Lattice, Places, own_points
+from scene_attack.rendering.torch.lattice import Lattice
 from scene_attack.rendering.torch.light import illumination
-from scene_attack.rendering.torch.surfaces import visible_surfaces
+from scene_attack.rendering.torch.moved import moved, places
+from scene_attack.rendering.torch.renderer import TorchRenderer
+from scene_attack.rendering.torch.shape import Shape
 from scene_attack.rendering.torch.table import to_vectors
 from scene_attack.scenes.mesh import Bytes, Floats
 from scene_attack.scenes.resolve import ResolvedScene
@@ -65,7 +65,11 @@ def parameter_table(
     """The table. Groups without a name for each coordinate are listed with the `files` of their values, by group."""
     declaration = RENDERERS[renderer]
     numbers = SceneParameters(scene) if renderer == PYRENDER.name else None
-    initial = {} if numbers is None else numbers.initial()
+    if numbers is not None:
+        initial = numbers.initial()
+    else:
+        shares = {group: torch.zeros_like(change) for group, change in perturbation.items() if group in SHARES}
+        initial = places(scene) | shares
     rows, large = [], []
     for group, change in perturbation.items():
         declared = declaration.group(group)
@@ -98,9 +102,15 @@ def _row(group: str, name: str, old: Tensor, change: Tensor) -> Parameter:
     return Parameter(group=group, name=name, unit=unit, before=before, after=before + moved, change=moved)
 
 
+SHARES = ("dials", "lamp")
+"""Groups of few numbers that are 0 at the start."""
+
+
 def _unit(group: str, name: str) -> tuple[float, str]:
     """The factor from the group's unit to the scene's, and the scene's unit."""
     word = name.rpartition(" ")[2]
+    if group in SHARES:
+        return 1.0, "share of its natural range"
     if group == "color":
         return 1.0, "linear factor on the mesh's colour"
     if group == "rotation":
@@ -147,26 +157,28 @@ def light_maps(scene: ResolvedScene, perturbation: Parameters) -> BeforeAfter:
 def normal_maps(scene: ResolvedScene, perturbation: Parameters) -> BeforeAfter:
     """The unit normals [H, W, 3] that the pixels are shaded by, in the camera's frame (+x right, +y up, +z towards the
     viewer), float32; 0 where nothing is. Draws with OpenGL."""
-    gbuffer = rasterise(scene)
-    to_camera = torch.as_tensor(scene.view, dtype=torch.float64)[:3, :3]
-    visible = visible_surfaces(gbuffer, to_camera)
-    seen = (gbuffer.coverage > 0)[..., None]
-
-    def vectors(of: Tensor) -> Floats:
-        return np.asarray((to_vectors(of.double()) * seen).numpy(), np.float32)
-
-    after = visible.image.clone()
+    bent = Shape.of(perturbation["shape"]) if "shape" in perturbation else None
+    there = scene if bent is None else replace(scene, meshes=bent.meshes(scene.meshes))
+    start = places(scene)
+    there = moved(there, {group: start[group] + change for group, change in perturbation.items() if group in start})
+    wavelength = 2 / Lattice.under(perturbation["bump"]).cells if "bump" in perturbation else SHORTEST_WAVE
+    renderer = TorchRenderer(there, groups=("bump",), tolerance="exact", wavelength=wavelength, bent=bent)
+    after = renderer.initial()["normals"]
+    is_surface = (after != 0).any(-1, keepdim=True)
     if "normals" in perturbation:
-        after += perturbation["normals"].double()
+        after = after + perturbation["normals"].double()
     if "bump" in perturbation:
-        first = visible.shown.rank == 0
-        shown = visible.shown.some(first)
-        pixels = after.view(-1, 2)
-        coefficients = perturbation["bump"].double()
-        places = Places.at(Lattice.under(coefficients), *own_points(scene, shown, to_camera.device))
-        bump = Bump.of(scene, shown, places, to_camera)
-        pixels[shown.pixels] = bump.turned(pixels[shown.pixels], coefficients)
-    return BeforeAfter(vectors(visible.image), vectors(after))
+        shown, angles = renderer.bump.shown, after.reshape(-1, 2)
+        turned = renderer.bump.turned(angles[shown.pixels], perturbation["bump"].double())
+        nearest = shown.rank == 0
+        after = angles.index_copy(0, shown.pixels[nearest], turned[nearest]).view_as(after)
+    before = TorchRenderer(scene, tolerance="exact").initial()["normals"]
+    return BeforeAfter(_vectors(before, (before != 0).any(-1, keepdim=True)), _vectors(after, is_surface))
+
+
+def _vectors(angles: Tensor, is_surface: Tensor) -> Floats:
+    """Unit vectors of angles [H, W, 2], 0 where there is no surface."""
+    return np.asarray((to_vectors(angles.double()) * is_surface).numpy(), np.float32)
 
 
 def as_colors(normals: Floats) -> Bytes:

@@ -42,6 +42,8 @@ class Stored:
         if shapes != expected:
             detail = f"its perturbation has the groups and shapes {shapes}, which are not {expected} of its request"
             raise InvalidRequest("directory", detail)
+        if not all(value.isfinite().all() for value in self.perturbation.values()):
+            raise InvalidRequest("directory", "its perturbation has values that are not finite")
 
 
 def read_stored(directory: Path) -> Stored:

@@ -4,7 +4,7 @@ from math import nan
 from typing import ClassVar, Literal
 
 import pytest
-from pydantic import BaseModel
+from pydantic import BaseModel, ValidationError
 
 from scene_attack.attacks.attack import ATTACKS, Attack, State, register
 from scene_attack.attacks.fgsm import FGSM
@@ -37,6 +37,14 @@ def test_through_a_renderer_without_gradients_defaults_are_those_that_succeed_th
     for renderer, preset in (("pyrender", "paper-classification"), ("torch", "measured"), ("image", "measured")):
         papers = ZOO.model_validate({"renderer": renderer, "preset": preset})
         assert (papers.learning_rate, papers.weight) == (2e-3, 0.1)
+
+
+@pytest.mark.parametrize(
+    "given", [{"groups": {}}, {"groups": ""}, {"groups": False}, {"epsilon": []}, {"groups": ["bump"], "epsilon": 0}]
+)
+def test_what_is_empty_and_of_another_type_is_not_taken_for_left_out(given: dict[str, object]) -> None:
+    with pytest.raises(ValidationError):
+        FGSM.model_validate(given)
 
 
 def test_groups_on_request_have_a_rate_when_they_are_named() -> None:

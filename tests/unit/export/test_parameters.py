@@ -5,7 +5,7 @@ import OpenEXR
 import pytest
 import torch
 
-from scene_attack.export.parameters import equirectangular, parameter_table, write_exr
+from scene_attack.export.parameters import equirectangular, normal_maps, parameter_table, write_exr
 from scene_attack.scenes.description import DirectionalLight, Lights, PointLight
 from scene_attack.scenes.environment import average, from_image, read_file
 from tests.unit.rendering.shapes import mesh, placed, quad, scene
@@ -39,6 +39,33 @@ def test_groups_of_many_values_name_their_files() -> None:
     assert (normals.shape, normals.axes) == ([3, 4, 2], ["H", "W", "2"])
     assert normals.files == ["normals_before.npy", "normals_after.npy"]
     assert material.tensor == "perturbation.safetensors: material"
+
+
+@pytest.mark.parametrize(
+    ("group", "change"),
+    [
+        ("lamp", torch.tensor([0.0, 0.5, 0.0, 0.0, 0.0, 0.0, 0.0])),
+        ("dials", torch.tensor([[0.0, 0.5, 0.0, 0.0, 0.0]])),
+        ("translation", torch.tensor([[0.0, 0.5, 0.0]])),
+        ("camera", torch.tensor([0.0, 0.5, 0.0, 0.0])),
+    ],
+)
+def test_few_values_of_the_torch_renderer_are_in_the_table(group: str, change: torch.Tensor) -> None:
+    table = parameter_table(RESOLVED, "torch", {group: change}, {})
+    assert table.large == []
+    assert [row.change for row in table.parameters] == pytest.approx(change.flatten().tolist())
+
+
+@pytest.mark.parametrize(
+    ("group", "change"),
+    [("rotation", torch.tensor([[0.0, 0.3, 0.0]])), ("camera", torch.tensor([0.0, 0.3, 0.0, 0.0]))],
+)
+def test_normals_after_a_move_are_those_of_the_moved_scene(group: str, change: torch.Tensor) -> None:
+    """They are said to be what the pixels of the attacked image are shaded by."""
+    maps = normal_maps(RESOLVED, {group: change})
+    seen = (maps.before != 0).any(-1) & (maps.after != 0).any(-1)
+    turned = np.degrees(np.arccos((maps.before * maps.after).sum(-1)[seen].clip(-1, 1)))
+    assert np.median(turned) == pytest.approx(np.degrees(0.3), rel=0.1)
 
 
 @pytest.mark.parametrize(("rows", "cols"), [(1, 4), (8, 16), (5, 6), (3, 7)])
