@@ -110,3 +110,14 @@ finally:
     process.kill()
 """
     assert printed(code).endswith("start it by multiprocessing's method spawn instead\n")
+
+
+def test_a_loop_of_ones_own_has_gradients_of_poses() -> None:
+    """They are differences of images, which OpenGL draws in its own thread, whichever thread asks for them."""
+    code = """
+drawn_by = sa.renderer(SPHERE, groups=["translation"])
+at = drawn_by.initial()["translation"][None].requires_grad_()
+(slope,) = torch.autograd.grad(drawn_by.render({"translation": at})[..., 16:, :].sum(), at)
+print(float(slope[0, 0, 0].abs()) > 1)
+"""
+    assert printed(code) == "True\n"

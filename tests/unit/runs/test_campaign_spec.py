@@ -211,7 +211,7 @@ def test_an_attack_whose_bounds_differ_is_checked_of_its_own() -> None:
         ("paper-lite0", 360),
         ("paper-physical", 2300),
         ("paper-around", 234),
-        ("paper-one-look", 3200),
+        ("paper-one-look", 2400),
         ("paper-equal-p", 520),
         ("paper-nondifferentiable", 210),
         ("paper-tolerances", 120),

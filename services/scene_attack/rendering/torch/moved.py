@@ -121,9 +121,8 @@ class MovedScenes:
         try:
             renderer = self._kept.pop(key, None) or self._moved(poses, shape)
         except InvalidRequest as error:
-            raise JobFailure(
-                "internal", f"{', '.join(values)} left nothing to draw ({error.detail}); give `epsilon` or `bounds`"
-            ) from error
+            detail = f"{', '.join(values)} left nothing to draw ({error.detail}); give a smaller `epsilon` or `bounds`"
+            raise JobFailure("internal", detail) from error
         self._kept[key] = renderer
         if len(self._kept) > KEPT:
             self._kept.popitem(last=False)
@@ -138,21 +137,20 @@ class MovedScenes:
 
 
 class _Differences(torch.autograd.Function):
-    """Zeros, of the shape of an image, whose derivative by the values [n] is that of `draw` by central differences."""
+    """Zeros, of the shape of an image, whose derivative by the values [n] is that of `draw` by central differences.
+
+    They are drawn at once, with the image: a derivative may be asked for in a thread that OpenGL does not belong to.
+    """
 
     @staticmethod
+    @torch.no_grad()
     def forward(ctx: Any, values: Tensor, draw: Callable[[Tensor], Tensor], image: Tensor) -> Tensor:
-        ctx.values, ctx.draw = values.detach(), draw
+        steps = HALF_STEP * torch.eye(len(values)).to(values)
+        ctx.slopes = [(draw(values + step) - draw(values - step)) / (2 * HALF_STEP) for step in steps]
+        ctx.like = values
         return torch.zeros_like(image)
 
     @staticmethod
     @once_differentiable
-    @torch.no_grad()
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None, None]:
-        slopes = torch.zeros_like(ctx.values)
-        for k in range(len(slopes)):
-            step = torch.zeros_like(slopes)
-            step[k] = HALF_STEP
-            change = ctx.draw(ctx.values + step) - ctx.draw(ctx.values - step)
-            slopes[k] = (gradient.double() * change).sum() / (2 * HALF_STEP)
-        return slopes, None, None
+        return torch.stack([(gradient.double() * slope).sum() for slope in ctx.slopes]).to(ctx.like), None, None

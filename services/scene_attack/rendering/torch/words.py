@@ -76,7 +76,7 @@ def worded(scene: ResolvedScene, renderer: Renderer, perturbation: Mapping[str, 
             images = images_of_map(*maps(renderer, perturbation)) if first else []
             result += [lamp(change, images)] if group == "lamp" else light(group, change, images)
         elif group == "bump":
-            result += dents(scene, renderer, change)
+            result += dents(scene, renderer, change, "shape" in perturbation)
         elif group == "shape":
             result += bent(scene, renderer, change)
         elif group in TORCH.moving_groups:
@@ -106,8 +106,9 @@ def normals(initial: Tensor, change: Tensor) -> Worded:
     return Worded(tilted, sizes)
 
 
-def dents(scene: ResolvedScene, renderer: Renderer, change: Tensor) -> Iterator[Worded]:
-    """Heights and slopes of the dents `change` (scene_attack.rendering.torch.bump), by object, where it is seen."""
+def dents(scene: ResolvedScene, renderer: Renderer, change: Tensor, is_bent: bool) -> Iterator[Worded]:
+    """Heights and slopes of the dents `change` (scene_attack.rendering.torch.bump), by object, where it is seen before
+    it is bent, if it is."""
     assert isinstance(renderer, TorchRenderer)
     places, change = renderer.bump, change.double()
     shares = torch.maximum(bump.steepness(change), change.abs().amax((1, 2, 3)) / bump.LARGEST).clamp_max(1.0)
@@ -127,7 +128,8 @@ def dents(scene: ResolvedScene, renderer: Renderer, change: Tensor) -> Iterator[
             group="bump",
             subject=subject,
             sentence=f"dented by {number(typical.value)} {unit} in the root mean square, {signed(largest.value)} {unit}"
-            f" at most where it is seen{at_size}, with slopes of up to {number(steepest.value)}°",
+            f" at most where it is seen{at_size}, with slopes of up to {number(steepest.value)}°"
+            f"{' before it is bent' * is_bent}",
             values=[from_zero(value, subject) for value in (typical, largest, steepest, used)],
             images=[
                 ChangeImage(
@@ -170,7 +172,7 @@ def length(scene: ResolvedScene, k: int) -> tuple[float, str, str]:
     mesh = scene.meshes[k]
     if mesh.centimetres is None:
         return 0.1, "% of its size", ""
-    size = 2 * FIT_RADIUS * mesh.centimetres * scene.description.objects[k].scale / 100
+    size = 2 * FIT_RADIUS * mesh.centimetres / 100  # of the real thing, whatever the scale at which it is shown
     return size, "mm", f", at its size of {number(100 * size)} cm"
 
 
@@ -191,9 +193,7 @@ def painted(scene: ResolvedScene, renderer: Renderer, change: Tensor) -> Iterato
         if not bool(seen.any()) or not bool(change[k].any()):
             continue
         typical, largest = _sizes("paint", subject, differences[seen], "difference of colour", "ΔE")
-        reflected = _sizes(
-            "paint", subject, 100 * (after - before)[seen].flatten(), "change of a channel", "% of white"
-        )
+        reflected = _sizes("paint", subject, 100 * (after - before)[seen].flatten(), "channel's change", "% of white")
         used = share("paint", subject, float(change[k].abs().max()))
         sizes = [typical, largest, *reflected, used]
         of_object = Change(

@@ -1,7 +1,7 @@
 """Dents against scipy's splines, a mesh that is really dented, central differences, and their own limits."""
 
 from collections.abc import Iterator
-from math import atan, degrees
+from math import atan, degrees, radians, tan
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,8 @@ from torch import Tensor
 
 import scene_attack as sa
 from scene_attack.process import options
-from scene_attack.rendering.torch.bump import LARGEST, UNIT, Bump, limited, raised
+from scene_attack.rendering.physical_change import worded
+from scene_attack.rendering.torch.bump import LARGEST, STEEPEST, UNIT, Bump, limited, raised
 from scene_attack.rendering.torch.lattice import Lattice, Places
 from scene_attack.rendering.torch.renderer import TorchRenderer
 from scene_attack.scenes.library import Library
@@ -291,3 +292,45 @@ def test_dents_have_no_u_unless_one_is_asked_for() -> None:
     assert sa.FGSM(renderer="torch", groups=["bump"]).truncation is None
     assert sa.FGSM(renderer="torch", groups=["bump", "normals"]).truncation == 18
     assert sa.FGSM(renderer="torch", groups=["bump"], truncation=18).truncation == 18
+
+
+def test_words_are_of_each_objects_own_dents() -> None:
+    """Of two objects, the first limited and the second of a known size, whatever its scale, by scipy's splines at the
+    points that are seen; slopes are looked at in the whole lattice, at nodes and middles of cells."""
+    scene = resolved(
+        objects=[
+            {"mesh": "primitive/torus", "translation": [-0.7, 0.0, 0.0]} | MATERIAL,
+            {"mesh": "furniture/drill", "translation": [0.7, 0.0, 0.0], "rotation": [0.3, 0.5, 0.0], "scale": 0.8}
+            | MATERIAL,
+        ],
+        camera={"size": (48, 64), "distance": 4.0},
+    )
+    renderer, given = dented(scene), random_dents(2, largest=LARGEST)
+    given[1] *= 0.3
+    along = np.linspace(-FIT_RADIUS, FIT_RADIUS, 2 * (NODES - 3) + 1)
+    lattice = np.stack(np.meshgrid(along, along, along), axis=-1).reshape(-1, 3)
+    assert scene.meshes[1].centimetres is not None
+    units = 0.1, 2 * FIT_RADIUS * scene.meshes[1].centimetres / 100
+    things = worded(scene, renderer, {"bump": torch.from_numpy(given)})
+    for k, (thing, size) in enumerate(zip(things, units, strict=True)):
+        own, points = in_its_frame(scene, renderer.bump, k)
+        # the middle of a pixel at an outline may be beside the object
+        points, drawn = points.clip(-FIT_RADIUS, FIT_RADIUS), limited(torch.from_numpy(given))[k].numpy()
+        heights, slopes = size * dents.height(points, drawn) / UNIT, dents.gradient(points, drawn)
+        normals = renderer.bump.shown.normals.double().numpy()[own] @ scene.models[k][:3, :3]
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        across = slopes - (slopes * normals).sum(axis=1, keepdims=True) * normals
+        used = np.linalg.norm(dents.gradient(lattice, given[k]), axis=1).max() / tan(radians(STEEPEST))
+        assert [value.value for value in thing.sizes] == [
+            pytest.approx(np.sqrt((heights**2).mean()), rel=1e-3),
+            pytest.approx(heights[abs(heights).argmax()], rel=1e-3),
+            pytest.approx(degrees(atan(np.linalg.norm(across, axis=1).max())), abs=0.02),
+            pytest.approx(100 * min(used, 1), rel=1e-6),
+        ]
+    assert "at its size of 35 cm" in things[1].change.sentence
+
+
+def test_bounds_are_the_largest_heights() -> None:
+    renderer = dented(one())
+    assert [float(end) for end in renderer.bounds()["bump"]] == [-LARGEST, LARGEST]
+    assert [float(end) for end in renderer.bounds()["paint"]] == [-1, 1]

@@ -300,3 +300,9 @@ def test_numbers_before_and_after_and_the_share_of_the_range() -> None:
         ("environment map, power of the lamp", 0, 0),
         ("environment map, share of the natural range", 0, 100),
     ]
+
+
+def test_the_place_of_a_lamp_that_is_off_takes_no_share_of_the_range() -> None:
+    [thing] = worded(sphere_scene(), sphere(), {"lamp": values(turn=-0.5, azimuth=1.0)})
+    assert thing.sizes[-1].measure == "share of the natural range"
+    assert thing.sizes[-1].value == pytest.approx(50)

@@ -1,6 +1,6 @@
 """The torch renderer's moved scenes against scenes that are described so, and the motion of a sphere's image."""
 
-from math import radians, tan
+from math import degrees, radians, tan
 from typing import Any
 
 import pytest
@@ -11,6 +11,7 @@ import scene_attack as sa
 from scene_attack.errors import InvalidRequest, JobFailure
 from scene_attack.process import options
 from scene_attack.rendering.color import as_saved
+from scene_attack.rendering.torch.declaration import TORCH
 from scene_attack.rendering.torch.renderer import TorchRenderer
 from scene_attack.runs.spec import parse
 from scene_attack.scenes.library import Library
@@ -182,3 +183,19 @@ def test_an_attack_over_views_says_from_where_it_fools() -> None:
     assert [view.answer for view in over.views] == answers
     assert len(set(answers)) > 1
     assert max(abs(view.azimuth) for view in over.views) > 90
+
+
+def test_a_moved_scene_has_the_same_waves() -> None:
+    own = TorchRenderer(described({}, {}), groups=("bump", "camera"), tolerance="exact", wavelength=0.2)
+    there = TorchRenderer(described({}, VIEW), groups=("bump",), tolerance="exact", wavelength=0.2)
+    dents = 5 * torch.randn(1, 1, 13, 13, 13, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    image = own.render({"bump": dents, "camera": ELSEWHERE["camera"]})
+    assert torch.equal(image, there.render({"bump": dents}))
+
+
+@pytest.mark.parametrize("group", ["camera", "rotation"])
+def test_the_natural_range_of_a_turn_is_five_degrees(group: str) -> None:
+    declared = TORCH.group(group)
+    assert declared.suggested_limit is not None
+    assert degrees(declared.suggested_limit) == pytest.approx(5, abs=0.01)
+    assert "5°" in str(declared.natural_range)

@@ -10,6 +10,7 @@ from torch import Tensor
 
 import scene_attack as sa
 from scene_attack.process import options
+from scene_attack.rendering.physical_change import worded
 from scene_attack.rendering.torch.dsbrdf import ILLUMINATION_MEAN
 from scene_attack.rendering.torch.paint import PRINTABLE, cielab
 from scene_attack.rendering.torch.renderer import TorchRenderer
@@ -261,3 +262,17 @@ def test_the_image_of_the_paint_shows_its_colours() -> None:
 
 def test_paint_has_no_u_unless_one_is_asked_for() -> None:
     assert sa.FGSM(renderer="torch", groups=["paint"]).truncation is None
+
+
+def test_words_are_of_the_colours_that_are_seen() -> None:
+    scene = resolved(objects=[{"mesh": "primitive/torus", "material": "matte"}])
+    renderer, values = painting(scene), random_paint(seed=2, largest=0.5)
+    [thing] = worded(scene, renderer, {"paint": torch.from_numpy(values)})
+    _, points = in_its_frame(scene, renderer.bump, 0)
+    points = points.clip(-FIT_RADIUS, FIT_RADIUS)  # the middle of a pixel at an outline may be beside the object
+    own = renderer.paint.shown.base_color.double().numpy()
+    change = 100 * (paints.painted(points, own, values[0]) - own)
+    *_, typical, largest, used = thing.sizes
+    assert (typical.unit, largest.unit, used.unit) == ("% of white", "% of white", "%")
+    wanted = np.sqrt((change**2).mean()), change.flat[abs(change).argmax()], 50
+    assert [size.value for size in (typical, largest, used)] == pytest.approx(wanted, rel=1e-3)
