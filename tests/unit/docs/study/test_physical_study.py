@@ -103,7 +103,7 @@ def test_what_the_page_says_of_a_campaign_is_so(name: str) -> None:
         for column in grid.attacks:
             attack = column.attack
             assert (attack.method, attack.truncation) == ("fgsm", None)
-            assert attack.steps == (30 if column.name == "pose" else 120)
+            assert attack.steps == (15 if column.name == "pose" else 120)
             if name == "paper-around":
                 assert attack.expectation is not None
                 assert (attack.expectation.azimuth, attack.expectation.checks) == (180, 16)
