@@ -79,10 +79,12 @@ def by_wavelength(record: Record) -> str:
     rows = []
     for group in dict.fromkeys(column.partition(SETTING)[0] for column in columns):
         names = [group, *(column for column in columns if column.partition(SETTING)[0] == group)]
-        seen = [{job.scene for job in record.jobs if job.attack == name} for name in names]
+        seen = [{(job.target, job.scene) for job in record.jobs if job.attack == name} for name in names]
         shared = set.intersection(*seen)
         for name in names:
-            jobs = [job for job in record.jobs if job.attack == name and job.scene in shared and job.right]
+            jobs = [
+                job for job in record.jobs if job.attack == name and (job.target, job.scene) in shared and job.right
+            ]
             rows.append([group, name.partition(SETTING)[2] or "0.1", *_row(jobs)])
     return markdown(("attack", "shortest wave", "n", "fooled, %", "95 % interval", "p ×10⁻³", "steps"), rows)
 

@@ -65,6 +65,8 @@ def test_wavelengths_are_compared_on_the_views_that_all_of_them_attacked(tmp_pat
     ]
     assert other != jobs
     assert physical.by_wavelength(with_jobs("physical", other, tmp_path)) == text
+    of_another = [job | {"target": "alexnet-furniture"} for job in jobs if job["attack"] == "bump"]
+    assert physical.by_wavelength(with_jobs("physical", [*jobs, *of_another], tmp_path)) == text
 
 
 def test_objects_are_counted_by_the_share_of_their_right_views(tmp_path: Path) -> None:
