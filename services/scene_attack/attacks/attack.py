@@ -81,11 +81,13 @@ class Attack(Model):
         description="ε: largest change of a parameter from the scene's own value, by group, in the group's units; a "
         "group that is left out has its natural range, if it has one, or no limit, or, with a method that needs one, "
         "the limit that its renderer suggests",
+        examples=[{"bump": 10}],
     )
     bounds: dict[str, tuple[Value, Value]] = Field(
         default_factory=dict,
         description="smallest and largest value of the parameters, by group, in the group's units; the scene's own "
         "values must be within, and nothing may be that the renderer cannot draw",
+        examples=[{"lamp": [-0.5, 0.5]}],
     )
     restarts: Annotated[int, Field(ge=0, le=100)] = Field(
         default=0,
@@ -415,6 +417,7 @@ class SearchWithinLimits(Attack):
         description="ε: largest change of a parameter from the scene's own value, by group, in the group's units; a "
         "group that is left out has its natural range, if it has one; else no limit where `truncation` or "
         "`perceptibility` limits the search, or the limit that its renderer suggests",
+        examples=[{"translation": 0.01}],
     )
 
     @classmethod

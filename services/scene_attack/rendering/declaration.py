@@ -75,8 +75,8 @@ class Group:
     by_default: bool = True
     """Whether the group is attacked if a request names no groups."""
     suggested_limit: float | None = None
-    """Largest change of a value from the scene's own for methods that need one, in the group's unit; above 0, at most
-    1000."""
+    """Largest change of a value from the scene's own, in the group's unit; above 0, at most 1000. It is the default of
+    methods that need a limit and, with a natural range, of all: there it is the range's largest value."""
     per_pixel: bool = False
     """Whether its values belong to the pixels of one view of the scene, so that no other view has them."""
     moves: bool = False

@@ -78,7 +78,7 @@ class SceneGrid(Model):
         default=(Camera().azimuth,), description="azimuths in radians, or how many to draw at random"
     )
     material: Annotated[str, reference("material")] = Field(
-        default="matte", max_length=64, description="DSBRDF preset of the torch renderer"
+        default="matte", max_length=64, description="kind of surface, which says how it reflects light (torch)"
     )
     camera: Camera = Field(default=Camera(), description="the camera, whose azimuth the views replace")
     lights: Lights = Lights()

@@ -98,7 +98,8 @@ def _error(item: Mapping[str, Any], schema: Schema) -> tuple[tuple[str, ...], st
     meaning = "" if place.description is None else f": {place.description.partition('; ')[0]}"
     actual = "but is missing" if kind == "missing" else f"not {_given(item.get('input'))}"
     hint = looks_like_degrees(item.get("input"), place.description)
-    return place.path, f"must be {expected(place.schema, schema)}, {actual}{meaning}{hint}"
+    example = "".join(f"; for example {json.dumps(one)}" for one in place.schema.get("examples", ())[:1])
+    return place.path, f"must be {expected(place.schema, schema)}, {actual}{meaning}{hint}{example}"
 
 
 def _place(loc: Sequence[int | str], schema: Schema) -> _Place:

@@ -120,7 +120,10 @@ class TargetChoice(Model):
     """The network under attack and, if its task is asked something, what."""
 
     name: Annotated[str, reference("target")] = Field(
-        default=DEFAULT_TARGET, min_length=1, max_length=100, description="a name that `GET /v1/targets` lists"
+        default=DEFAULT_TARGET,
+        min_length=1,
+        max_length=100,
+        description="the network to attack, by its name in the list of networks (`/v1/targets`)",
     )
     ask: AnyAsk | None = Field(
         default=None,

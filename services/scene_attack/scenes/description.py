@@ -106,7 +106,7 @@ class SceneObject(Model):
         description="`furniture/<slug>`, `primitive/<name>`, or the id of an uploaded mesh (`sha256:<hex>`)",
     )
     material: Annotated[str, reference("material")] = Field(
-        default="matte", max_length=64, description="DSBRDF preset of the torch renderer"
+        default="matte", max_length=64, description="kind of surface, which says how it reflects light (torch)"
     )
     color: Colour = Field(default=(1.0, 1.0, 1.0), description="linear RGB factor on the mesh's own colours")
     translation: Vector = Field(default=(0.0, 0.0, 0.0), description="position of the object's centre, scene units")
@@ -140,7 +140,7 @@ class Floor(Model):
     )
     color: Colour = Field(default=(0.5, 0.5, 0.5), description="linear RGB")
     material: Annotated[str, reference("material")] = Field(
-        default="matte", max_length=64, description="DSBRDF preset of the torch renderer"
+        default="matte", max_length=64, description="kind of surface, which says how it reflects light (torch)"
     )
     metallic: Unit | None = Field(
         default=None,

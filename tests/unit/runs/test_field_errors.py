@@ -99,6 +99,11 @@ def test_what_is_missing_is_said_with_what_it_must_be() -> None:
     assert error.detail.endswith("but is missing")
 
 
+def test_an_object_whose_keys_have_no_list_comes_with_an_example() -> None:
+    (error,) = errors(spec("attack.bounds", "from -0.5 to 0.5"))
+    assert error.detail.endswith('in the group\'s units; for example {"lamp": [-0.5, 0.5]}')
+
+
 def test_a_long_value_is_shortened_and_a_number_that_is_none_is_shown() -> None:
     (error,) = errors(spec("scene.camera.viewer", "x" * 10_000))
     assert "x" * 50 in error.detail
