@@ -2,9 +2,10 @@
 
 import base64
 import json
+import re
 from collections.abc import Iterator
 from io import BytesIO
-from math import ceil, degrees, pi
+from math import ceil, degrees, pi, radians
 from typing import Any
 
 import numpy as np
@@ -59,7 +60,8 @@ def test_a_job_is_made_with_the_form_beside_its_preview(stack: Stack, page: Page
     before = page.locator("#picture").evaluate(LIGHT)
 
     page.locator("[id='f-scene.objects.0.mesh']").click()
-    page.get_by_role("radio", name="Torus").check(force=True)  # its label's picture is what one sees
+    page.locator(".meshes label").filter(has_text="Torus").click()  # a radio button that is shown as a picture
+    expect(page.locator(".meshes")).to_be_hidden()
     assert spec(page)["scene"]["objects"][0]["mesh"] == "primitive/torus"
     wait_for_answer(page)
     assert page.locator("#picture").evaluate(LIGHT) != before
@@ -192,9 +194,87 @@ def test_what_fits_is_offered_and_natural_changes_come_first(stack: Stack, page:
     expect(method).to_have_value("zoo")
     page.locator("[id='f-attack.expectation'] > summary").click()
     page.locator("[id='f-attack.expectation-has']").check()
+    assert spec(page)["attack"]["expectation"] == {"azimuth": 30}  # one over nothing would be refused
     page.locator("[id='f-attack.expectation.distance-slider']").fill("10")
-    assert spec(page)["attack"]["expectation"] == {"distance": 0.1}  # of it; the slider has per cent
+    assert spec(page)["attack"]["expectation"]["distance"] == 0.1  # of it; the slider has per cent
     wait_for_answer(page)
+
+
+def test_an_empty_choice_of_groups_stays_empty_and_is_not_submitted(stack: Stack, page: Page) -> None:
+    page.goto(f"{stack.client.base_url}/new?mesh=primitive/sphere")
+    wait_for_answer(page)
+    submitted: list[Route] = []
+    page.route("**/v1/jobs", lambda route: submitted.append(route))
+    groups = page.locator("[id='f-attack.groups']")
+    page.locator("[id='f-attack.groups-bump']").uncheck()
+    expect(groups.get_by_role("alert")).to_have_text("choose at least one group")
+    expect(groups).to_have_accessible_description("choose at least one group")
+    expect(groups.locator("input:checked")).to_have_count(0)
+    assert spec(page)["attack"]["groups"] == []
+    page.locator("#submit").click()
+    expect(page.locator("#problems")).to_contain_text("choose at least one group")
+    page.locator("#plan").click()
+    expect(page.locator("#cost")).to_have_text("choose at least one group")
+    assert submitted == []
+
+    page.locator("[id='f-attack.groups-lamp']").check()
+    assert spec(page)["attack"]["groups"] == ["lamp"]
+    expect(groups.locator(".error")).to_be_empty()
+    expect(page.locator("#problems")).to_be_hidden()
+    wait_for_answer(page)
+
+
+def test_a_slider_says_how_much_of_its_natural_range_a_group_may_use(stack: Stack, page: Page) -> None:
+    """The share 1 is the default, and is left out of the request."""
+    page.goto(f"{stack.client.base_url}/new?mesh=primitive/sphere")
+    wait_for_answer(page)
+    dents = page.get_by_role("slider", name="dents: share of its natural range")
+    rotation = page.get_by_role("slider", name="rotation: share of its natural range")
+    expect(dents).to_have_value("100")
+    expect(dents).to_have_accessible_description(re.compile("20 mm at a size of 1 m"))
+    expect(rotation).to_have_count(0)
+    assert "epsilon" not in spec(page)["attack"]
+    dents.press("ArrowLeft")
+    assert spec(page)["attack"]["epsilon"] == {"bump": 19}
+    expect(page.locator("output").first).to_have_text("95 %")
+    box = page.locator("[id='f-attack.epsilon']")
+    expect(box).to_have_value('{"bump":19}')
+    box.evaluate(UNFOLD)
+    box.fill('{"bump": 10}')
+    expect(dents).to_have_value("50")
+    page.locator("#spec").fill(page.locator("#spec").input_value().replace('"bump": 10', '"bump": 5'))
+    expect(dents).to_have_value("25")
+
+    page.locator("[id='f-attack.groups-rotation']").check()
+    rotation.press("Home")
+    assert spec(page)["attack"]["epsilon"] == {"bump": 5, "rotation": pytest.approx(radians(5) / 20, rel=1e-3)}
+    dents.press("End")
+    assert list(spec(page)["attack"]["epsilon"]) == ["rotation"]
+    dents.press("Home")
+    page.locator("[id='f-attack.groups-bump']").uncheck()
+    expect(dents).to_have_count(0)
+    assert list(spec(page)["attack"]["epsilon"]) == ["rotation"]  # the service takes none of a group that is left alone
+    wait_for_answer(page)
+
+
+def test_an_image_of_an_earlier_request_is_marked(stack: Stack, page: Page) -> None:
+    page.goto(f"{stack.client.base_url}/new?mesh=primitive/sphere")
+    wait_for_answer(page)
+    picture = page.locator("#picture")
+    expect(picture).to_have_css("opacity", "1")
+    held: list[Route] = []
+    page.route("**/v1/preview", lambda route: held.append(route))
+    page.locator("[id='f-scene.camera.azimuth']").fill("10")
+    expect(page.locator("#preview-state")).to_have_text("Drawing …")
+    expect(picture).to_have_css("opacity", "0.45")
+    expect(picture).to_have_accessible_name("The image of an earlier scene")
+    expect(page.locator("#answers")).to_be_hidden()
+    until(lambda: page.evaluate("true") and held, "a request")
+    held[0].continue_()
+    wait_for_answer(page)
+    expect(picture).to_have_css("opacity", "1")
+    expect(picture).to_have_accessible_name(re.compile("the network says"))
+    expect(page.locator("#answers")).to_be_visible()
 
 
 def test_of_many_changes_only_the_newest_is_drawn(stack: Stack, page: Page) -> None:
@@ -301,6 +381,8 @@ def test_the_whole_form_is_accessible(stack: Stack, browser: Browser, theme: Any
         complaints = watched(page, str(stack.client.base_url))
         page.goto(f"{stack.client.base_url}/new?mesh=primitive/sphere")
         wait_for_answer(page)
+        expect(page.locator("#warnings")).to_be_visible()  # nobody has said what the sphere is
+        expect(page.locator("#plan")).to_be_in_viewport(ratio=1)
         save(page, f"new-preview-{theme}-{width}.png")
         for field in ("scene.objects.0.scale", "seed", "scene.camera.size.0", "attack.steps"):
             page.locator(f"[id='f-{field}']").evaluate(UNFOLD)
@@ -309,6 +391,9 @@ def test_the_whole_form_is_accessible(stack: Stack, browser: Browser, theme: Any
         expect(page.locator("#problems a")).to_have_count(4)
         for field in ("scene.objects.0.scale", "seed", "scene.camera.size", "attack.steps"):
             expect(page.locator(f"[id='f-{field}-error']")).not_to_be_empty()
+        axes = page.locator("[id='f-scene.objects.0.rotation'] label")
+        expect(axes).to_have_text(["x", "y", "z"])
+        assert axes.evaluate_all("all => new Set(all.map(one => one.offsetTop)).size") == 1  # one line
         page.locator("#f-scene\\.background-has").evaluate(UNFOLD)
         page.locator("#f-scene\\.background-has").check()
         page.evaluate("for (const one of document.querySelectorAll('details')) one.open = true")

@@ -81,7 +81,7 @@ def choices(services: ServicesDependency, caller: CallerDependency) -> Any:
         "schema": _schema(),
         "meshes": [
             {"name": entry.name, "title": entry.title, "kind": entry.category, "picture": picture(entry)}
-            for entry in sorted(entries, key=lambda entry: entry.category)
+            for entry in sorted(entries, key=lambda entry: (entry.kind != "upload", entry.category))
             if entry.kind != "environment"
         ],
         "environments": [*maps, ["lights", "the scene's own lights"]],
@@ -122,6 +122,7 @@ def _renderer(declared: Declaration) -> dict[str, Any]:
                 "words": group.words,
                 "explanation": group.explanation,
                 "natural_range": group.natural_range,
+                "limit": group.suggested_limit,
                 "by_default": group.by_default,
             }
             for group in declared.groups

@@ -12,6 +12,7 @@ from scene_attack.rendering.declaration import RENDERERS
 from scene_attack.runs.spec import JobSpec, parse
 from scene_attack_api.requests import Services
 from tests.unit.api.conftest import SPHERE
+from tests.unit.api.test_assets import PYRAMID
 from tests.unit.jobs.records import attacks
 from tests.unit.scenes.test_uploaded_maps import TEXELS, exr
 
@@ -96,11 +97,23 @@ def test_the_script_gets_the_groups_with_their_ranges_and_the_methods_that_fit(c
         assert tuple(groups) == declared.group_names
         assert [name for name in groups if groups[name]["natural_range"]] == list(declared.natural_groups)
         assert [name for name in groups if groups[name]["by_default"]] == list(declared.default_groups)
+        assert {name: groups[name]["limit"] for name in groups} == {
+            group.name: group.suggested_limit for group in declared.groups
+        }
         assert found[name]["words"]
         assert all(group["explanation"] or group["natural_range"] for group in groups.values())
     assert found["torch"]["fits"]["square"] == ["normals"]  # it needs values at each pixel
     assert found["torch"]["fits"]["natural-gradient"] == []  # it is for renderers without gradients
     assert "rotation" in found["pyrender"]["fits"]["natural-gradient"]
+
+
+def test_uploaded_meshes_come_first(client: Client) -> None:
+    sent = client.post("/v1/assets", files=[("file", ("p.off", PYRAMID))])
+    assert sent.status_code == 201, sent.text
+    meshes = client.get("/new/choices.json").json()["meshes"]
+    uploads = [mesh["name"] for mesh in meshes if mesh["kind"] == "upload"]
+    assert sent.json()["name"] in uploads
+    assert [mesh["name"] for mesh in meshes][: len(uploads)] == uploads
 
 
 def test_a_map_that_was_uploaded_is_a_light_and_no_mesh(client: Client) -> None:

@@ -24,6 +24,9 @@ const LEGENDS = {
 };
 // The camera's settings that stand beside the preview, where it is turned.
 const ORBIT = ["azimuth", "elevation", "distance"];
+// The numbers of a vector; those of one that is not listed here are x, y and z.
+const RGB = ["red", "green", "blue"];
+const AXES = { color: RGB, ground: RGB, size: ["height", "width"] };
 // The ranges of an expectation that only some renderers can draw.
 const VARIED = ["azimuth", "elevation", "roll", "distance", "intensity"];
 // Fields that have a slider: what it covers, in the unit that is shown, of which the request has `of` each.
@@ -95,6 +98,7 @@ export class Fields {
   set(path, value, rebuild = false) {
     put(this.spec, path, value);
     if (rebuild) this.show(this.spec);
+    else this.display();
     this.changed();
   }
 
@@ -106,10 +110,10 @@ export class Fields {
     return at(this.spec, ["attack", "method"]) ?? this.renderer?.method;
   }
 
-  // The names of the attacked groups.
+  // The names of the attacked groups. An empty list is an empty choice, which the page does not send.
   get chosen() {
     const given = at(this.spec, ["attack", "groups"]);
-    if (Array.isArray(given) && given.length) return given;
+    if (Array.isArray(given)) return given;
     return (this.renderer?.groups ?? []).filter((group) => group.by_default).map((group) => group.name);
   }
 
@@ -175,7 +179,7 @@ export class Fields {
     if (optional) {
       const has = given !== undefined && given !== null;
       const box = element("input", { type: "checkbox", id: `${id}-has`, checked: has });
-      box.addEventListener("change", () => this.set(path, box.checked ? {} : undefined, true));
+      box.addEventListener("change", () => this.set(path, box.checked ? this.start(name) : undefined, true));
       inside.push(element("p", { class: "check" }, box, element("label", { for: box.id }, `with ${words(name)}`), this.hint(schema, id)));
       if (has) inside.push(...this.object(schema, path));
     } else inside.push(...this.object(schema, path));
@@ -184,6 +188,12 @@ export class Fields {
       return element("fieldset", { id }, element("legend", {}, title), error, ...inside);
     }
     return element("details", { id, open: inside.length > 1 && optional }, element("summary", {}, title), error, ...inside);
+  }
+
+  // The first value of an optional object: an expectation over nothing would be refused.
+  start(name) {
+    if (name !== "expectation") return {};
+    return this.renderer?.varies.includes("azimuth") ? { azimuth: 30 } : { noise: 4 };
   }
 
   list(name, schema, path) {
@@ -230,23 +240,48 @@ export class Fields {
     const choice = (one) => {
       const box = element("input", { type: "checkbox", id: `${id}-${one.name}`, value: one.name, checked: chosen.includes(one.name), "aria-describedby": `${id}-${one.name}-hint` });
       box.addEventListener("change", () => {
-        const now = [...field.querySelectorAll("input:checked")].map((other) => other.value);
-        this.set(path, now.length ? now : undefined, !now.length);
+        // Settings by group are refused for one that is not attacked.
+        for (const settings of Object.values(this.spec.attack ?? {})) delete settings?.[one.name];
+        this.set(path, [...field.querySelectorAll("input:checked")].map((other) => other.value));
       });
       const range = one.natural_range ? [element("strong", {}, one.natural_range)] : [];
       const said = one.explanation ? [one.explanation, ...(range.length ? [": "] : [])] : [];
       const hint = element("small", { class: "hint", id: `${id}-${one.name}-hint` }, ...said, ...range);
-      return element("div", { class: "choice" }, box, element("label", { for: box.id }, one.words, " ", element("code", {}, one.name)), hint);
+      return element("div", { class: "choice" }, box, element("label", { for: box.id }, one.words, " ", element("code", {}, one.name)), hint, ...(one.natural_range && one.limit ? [this.share(one, box)] : []));
     };
     const part = (title, some) => (some.length ? [element("fieldset", {}, element("legend", {}, title), ...some.map(choice))] : []);
     const field = element(
       "fieldset",
-      { id, class: "plain" },
+      { id, class: "plain", "aria-describedby": `${id}-error` },
       element("legend", {}, "groups"),
+      element("span", { class: "error", id: `${id}-error`, role: "alert" }),
       ...part("Changes a thing could have", offered.filter((one) => one.natural_range)),
       ...part("Free values, without a natural range", offered.filter((one) => !one.natural_range)),
-      this.error(id),
     );
+    return field;
+  }
+
+  // A slider for the largest change of an attacked group: a share of its natural range, of which the whole is the default.
+  share(group, box) {
+    const path = ["attack", "epsilon", group.name];
+    const id = `${box.id}-share`;
+    const slider = element("input", { type: "range", id, min: 5, max: 100, step: 5, "aria-describedby": `${box.id}-hint` });
+    const output = element("output", { for: id });
+    const line = element("div", { class: "slider" }, slider, output);
+    const field = element("div", { class: "share" }, element("label", { for: id }, `${group.words}: share of its natural range`), line);
+    slider.addEventListener("input", () => {
+      const percent = slider.valueAsNumber;
+      this.set(path, percent < 100 ? rounded((percent / 100) * group.limit) : undefined);
+    });
+    const display = () => {
+      const epsilon = at(this.spec, path);
+      const percent = typeof epsilon === "number" ? (100 * epsilon) / group.limit : 100;
+      slider.value = percent;
+      output.value = `${Number(percent.toFixed(1))} %`;
+      field.hidden = !box.checked;
+    };
+    this.displays.push(display);
+    display();
     return field;
   }
 
@@ -265,12 +300,8 @@ export class Fields {
     number.addEventListener("input", () => {
       const value = read(number.value, "number");
       this.set(path, typeof value === "number" ? rounded(value * of) : value);
-      this.display();
     });
-    slider.addEventListener("input", () => {
-      this.set(path, rounded(slider.valueAsNumber * of));
-      this.display();
-    });
+    slider.addEventListener("input", () => this.set(path, rounded(slider.valueAsNumber * of)));
     this.shows(number, () => {
       const value = this.value(path, schema);
       slider.value = typeof value === "number" ? value / of : low;
@@ -294,7 +325,7 @@ export class Fields {
   tuple(name, schema, path) {
     const id = `f-${path.join(".")}`;
     const inputs = schema.prefixItems.map((_, k) => {
-      const input = element("input", { inputmode: "decimal", id: `${id}.${k}`, "aria-label": `${words(name)} ${k + 1}`, autocomplete: "off" });
+      const input = element("input", { inputmode: "decimal", id: `${id}.${k}`, autocomplete: "off" });
       input.addEventListener("input", () => {
         const texts = inputs.map((one) => one.value);
         const rest = at(this.filled, path) ?? schema.default ?? [];
@@ -304,7 +335,9 @@ export class Fields {
       this.shows(input, () => written(this.value([...path, k], { default: schema.default?.[k] }), "number"));
       return input;
     });
-    return element("fieldset", { id, class: "inline" }, element("legend", {}, words(name)), ...inputs, this.hint(schema, id), this.error(id));
+    const axes = AXES[name] ?? ["x", "y", "z"];
+    const labelled = inputs.map((input, k) => element("label", {}, axes[k] ?? k + 1, input));
+    return element("fieldset", { id, class: "inline" }, element("legend", {}, words(name)), ...labelled, this.hint(schema, id), this.error(id));
   }
 
   picture(name, schema, path) {
@@ -348,7 +381,8 @@ export class Fields {
       this.displays.push(display);
       display();
     } else {
-      input = element("input", { ...common, inputmode: kind === "number" && "decimal", autocomplete: "off", spellcheck: "false", placeholder: "none" });
+      const tag = schema.type === "object" ? "textarea" : "input"; // values by group may be long
+      input = element(tag, { ...common, inputmode: kind === "number" && "decimal", autocomplete: "off", spellcheck: "false", placeholder: "none" });
       this.shows(input, () => written(own(), kind));
     }
     input.addEventListener(kind === "check" ? "change" : "input", () => this.set(path, kind === "check" ? input.checked : read(input.value, kind)));
@@ -394,6 +428,6 @@ export class Fields {
   }
 
   error(id) {
-    return element("span", { class: "error", id: `${id}-error`, hidden: true });
+    return element("span", { class: "error", id: `${id}-error` });
   }
 }

@@ -4,7 +4,7 @@ import { element } from "./element.js";
 const picture = (mesh) => (mesh?.picture ? element("img", { src: mesh.picture, alt: "", width: 64, height: 64, loading: "lazy" }) : element("span", { class: "blank" }));
 
 // `meshes` are { name, title, kind, picture }, those of a kind one after the other; `chosen` is called with a name. The
-// arrow keys walk through the meshes, and Enter closes the field.
+// arrow keys walk through the meshes; Enter and the mouse's choice close the field.
 export function meshPicker(id, meshes, value, chosen) {
   const summary = element("summary", { id });
   const all = element("div", { class: "meshes" });
@@ -38,6 +38,11 @@ export function meshPicker(id, meshes, value, chosen) {
     return element("label", { title: mesh.name }, radio, picture(mesh), element("span", {}, mesh.title));
   }
 
+  function close() {
+    picker.open = false;
+    summary.focus();
+  }
+
   name(value);
   search.addEventListener("input", list);
   picker.addEventListener("toggle", () => {
@@ -54,9 +59,10 @@ export function meshPicker(id, meshes, value, chosen) {
   picker.addEventListener("keydown", (event) => {
     if (event.key !== "Enter" || event.target === summary) return; // which would submit the job
     event.preventDefault();
-    if (event.target === search) return;
-    picker.open = false;
-    summary.focus();
+    if (event.target !== search) close();
+  });
+  all.addEventListener("click", (event) => {
+    if (event.detail && event.target.matches("input")) close(); // a click without a count is an arrow key's
   });
   return picker;
 }

@@ -1,8 +1,8 @@
 // The page "New job": fields, picture and JSON show the same request; whichever is changed changes the others.
 import { Fields } from "./form.js";
 import { Orbit } from "./orbit.js";
-import { ask, plan, preview } from "./preview.js";
-import { parsed, put } from "./schema.js";
+import { plan, preview } from "./preview.js";
+import { at, parsed, put } from "./schema.js";
 import { busy } from "./submitting.js";
 
 const form = document.getElementById("new");
@@ -12,6 +12,7 @@ const problems = document.getElementById("problems");
 const root = document.getElementById("fields");
 const page = document.querySelector(".new");
 
+const EMPTY = { field: "attack.groups", detail: "choose at least one group" };
 const known = await (await fetch("/new/choices.json")).json();
 const fields = new Fields(root, document.getElementById("orbit"), known, fromFields);
 document.getElementById("raw").classList.add("with-fields");
@@ -65,7 +66,8 @@ function fromText() {
 function look() {
   problems.hidden = true;
   aim();
-  preview(text.value, (answer, ok) => {
+  const request = text.value;
+  preview(() => ask("/v1/preview", request), (answer, ok) => {
     clear();
     if (ok) {
       fields.fill(answer.spec);
@@ -74,9 +76,17 @@ function look() {
   });
 }
 
+// The service's answer to a request. To the service, an empty list of groups means the renderer's own; here it is an error.
+async function ask(url, request = text.value) {
+  if (at(fields.spec, ["attack", "groups"])?.length === 0) return { ok: false, answer: { detail: EMPTY.detail, errors: [EMPTY] } };
+  const headers = { "Content-Type": "application/json", Accept: "application/json" };
+  const response = await fetch(url, { method: "POST", headers, body: request });
+  return { ok: response.ok, answer: await response.json() };
+}
+
 function clear() {
-  for (const one of page.querySelectorAll("span.error")) one.hidden = true;
-  for (const one of page.querySelectorAll("input[aria-invalid], select[aria-invalid]")) one.removeAttribute("aria-invalid");
+  for (const one of page.querySelectorAll("span.error")) one.textContent = "";
+  for (const one of page.querySelectorAll(":is(#fields, #orbit) [aria-invalid]")) one.removeAttribute("aria-invalid");
 }
 
 // Shows each error at its field, or at the nearest one around it; returns those that have none, and the fields.
@@ -89,9 +99,8 @@ function point(errors) {
     const message = nearest(parts);
     if (!message) continue;
     const said = message.id === `f-${error.field}-error` ? error.detail : `${error.field}: ${error.detail}`;
-    message.textContent = message.hidden ? said : `${message.textContent}; ${said}`;
-    message.hidden = false;
-    if (field.matches("input, select")) {
+    message.append(message.textContent && "; ", said);
+    if (field.matches("input, select, textarea")) {
       field.setAttribute("aria-invalid", "true");
       field.setAttribute("aria-describedby", `${message.id.replace(/-error$/, "-hint")} ${message.id}`);
     }
@@ -133,7 +142,7 @@ form.addEventListener("submit", async (event) => {
   event.preventDefault();
   const ready = busy(form, event.submitter);
   try {
-    const { ok, answer } = await ask("/v1/jobs", text.value);
+    const { ok, answer } = await ask("/v1/jobs");
     if (ok) return location.assign(`/jobs/${answer.id}`);
     clear();
     summarise(answer);
@@ -143,5 +152,5 @@ form.addEventListener("submit", async (event) => {
   ready();
 });
 text.addEventListener("input", fromText);
-document.getElementById("plan").addEventListener("click", () => plan(text.value));
+document.getElementById("plan").addEventListener("click", () => plan(() => ask("/v1/preview?plan=true")));
 fromText();

@@ -4,22 +4,20 @@ const shown = document.getElementById("preview");
 const state = document.getElementById("preview-state");
 const picture = document.getElementById("picture");
 
-let latest; // the newest request that is not asked for yet: [text, found]
+let latest; // the newest request that is not asked for yet: [ask, found]
 let following = false;
 
-export async function ask(url, body) {
-  const headers = { "Content-Type": "application/json", Accept: "application/json" };
-  const response = await fetch(url, { method: "POST", headers, body });
-  return { ok: response.ok, answer: await response.json() };
-}
-
-// Shows the preview of a request soon. Of requests that come while one is drawn, only the newest is drawn next. Calls
-// `found` with the answer or the errors, but not for a request that was changed meanwhile.
-export function preview(text, found) {
-  latest = [text, found];
+// Shows the preview of a request soon, for whose answer `ask` asks. Of requests that come while one is drawn, only the
+// newest is drawn next. Calls `found` with the answer or the errors, but not for a request that was changed meanwhile.
+// Until then, the image is marked as that of an earlier request, and its answers are hidden.
+export function preview(ask, found) {
+  latest = [ask, found];
   shown.hidden = false;
   shown.setAttribute("aria-busy", "true");
-  state.textContent ||= "Rendering …";
+  shown.classList.add("stale");
+  picture.setAttribute("aria-label", "The image of an earlier scene");
+  state.textContent = "Drawing …";
+  document.getElementById("cost").replaceChildren();
   if (!following) follow();
 }
 
@@ -27,15 +25,15 @@ async function follow() {
   following = true;
   while (latest) {
     await new Promise((resume) => setTimeout(resume, PAUSE));
-    const [text, found] = latest;
+    const [ask, found] = latest;
     latest = undefined;
-    document.getElementById("cost").replaceChildren();
     try {
-      const { ok, answer } = await ask("/v1/preview", text);
-      if (ok) await show(answer);
-      else if (!latest) state.textContent = answer.errors?.length ? "This request cannot run; the last image and answers stay." : answer.detail;
-      shown.classList.toggle("stale", !ok);
-      if (!latest) found(answer, ok);
+      const { ok, answer } = await ask();
+      if (ok) await draw(answer.png); // also when there is a newer request, so that a dragged camera is seen to turn
+      if (latest) continue;
+      if (ok) tell(answer);
+      else state.textContent = answer.errors?.length ? "This request cannot run; the image is that of an earlier one." : answer.detail;
+      found(answer, ok);
     } catch {
       state.textContent = "The service does not answer.";
     }
@@ -44,14 +42,18 @@ async function follow() {
   shown.removeAttribute("aria-busy");
 }
 
-async function show(found) {
-  const bytes = Uint8Array.from(atob(found.png), (one) => one.charCodeAt(0));
+async function draw(png) {
+  const bytes = Uint8Array.from(atob(png), (one) => one.charCodeAt(0));
   const image = await createImageBitmap(new Blob([bytes], { type: "image/png" }));
   picture.width = image.width;
   picture.height = image.height;
   picture.getContext("2d").drawImage(image, 0, 0);
+}
+
+function tell(found) {
   const [first] = found.answers;
-  picture.setAttribute("aria-label", `The image of the scene, ${image.width}×${image.height} pixels; the network says ${first.answer.label}`);
+  shown.classList.remove("stale");
+  picture.setAttribute("aria-label", `The image of the scene, ${picture.width}×${picture.height} pixels; the network says ${first.answer.label}`);
   state.textContent = `The network says “${first.answer.label}” before the attack.`;
   document.getElementById("answers").replaceChildren(...found.answers.map(table));
   const warnings = document.getElementById("warnings");
@@ -85,12 +87,12 @@ function table({ asked, answer }) {
   return found;
 }
 
-// Asks for the plan of a request, and shows it with its cost.
-export async function plan(text) {
+// Shows the plan of a request with its cost, for which `ask` asks.
+export async function plan(ask) {
   const cost = document.getElementById("cost");
   cost.replaceChildren(made("p", "Planning …"));
   try {
-    const { ok, answer } = await ask("/v1/preview?plan=true", text);
+    const { ok, answer } = await ask();
     cost.replaceChildren(...(ok ? costs(answer) : [made("p", answer.detail)]));
   } catch {
     cost.replaceChildren(made("p", "The service does not answer."));
