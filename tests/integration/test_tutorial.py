@@ -73,7 +73,7 @@ def test_the_tutorial_leads_to_a_finding(tmp_path: Path) -> None:
         }
         done = run("".join(others), **about)
     assert "Subsets of the groups" in done.stdout
-    assert re.search(r"^surface of .*: dented by \d.* mm in the root mean square", done.stdout, re.M)
+    assert re.search(r"^surface of .*: dented by \d.* % of its size in the root mean square", done.stdout, re.M)
     assert re.search(r"^bump \+ lamp (mug|bowl|vase|jug) p = 0\.\d{4}$", done.stdout, re.M)
     with PIL.Image.open(folder / "attacked.png") as attacked:
         assert attacked.size == (128, 128)
