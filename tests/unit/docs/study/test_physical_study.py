@@ -97,7 +97,7 @@ def test_the_page_has_every_part_and_says_the_changes_in_words() -> None:
     assert "`scene-attack campaign run examples/paper-around.json --out out/paper-around`" in text
 
 
-@pytest.mark.parametrize("name", ["paper-physical", "paper-around"])
+@pytest.mark.parametrize("name", ["paper-physical", "paper-physical-lite0", "paper-pose", "paper-around"])
 def test_what_the_page_says_of_a_campaign_is_so(name: str) -> None:
     spec = parse(json.loads((EXAMPLES / f"{name}.json").read_text("utf-8")))
     for grid in spec.grids:
