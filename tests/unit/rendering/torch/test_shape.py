@@ -193,11 +193,11 @@ def test_what_an_ascent_finds_between_the_limited_places_is_declared() -> None:
     places = Places.on(coarse, quarter, 0)
     for step in range(300):
         leaf = given.requires_grad_()
-        (slope,) = torch.autograd.grad(places.gradients(limited(leaf)).norm(), leaf)
+        steepest = torch.linalg.matrix_norm(places.gradients(limited(leaf))[0], ord=2)
+        (slope,) = torch.autograd.grad(steepest, leaf)
         given = (leaf + largest * 0.985**step * slope / slope.abs().max()).clamp(-largest, largest).detach()
-    gradient = UNIT * places.gradients(limited(given))[0]
-    assert float(gradient.norm()) > 1.15 * STEEPEST
-    assert float(torch.linalg.matrix_norm(gradient, ord=2)) < np.sin(np.radians(36))
+    found = UNIT * float(torch.linalg.matrix_norm(places.gradients(limited(given))[0], ord=2))
+    assert np.sin(np.radians(33)) < found < np.sin(np.radians(36))
 
 
 # Gradients
