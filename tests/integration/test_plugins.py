@@ -230,7 +230,7 @@ def test_what_they_add_is_known_everywhere(extended: Stack) -> None:
     job_id = extended.submit({"scene": scene()} | JOBS["the renderer"][0])
     assert extended.job(job_id)["spec"]["attack"]["learning_rate"] == {"tint": 0.01}
     extended.ended(job_id)
-    assert "p of colour of the filter" in extended.client.get(f"/jobs/{job_id}").text
+    assert "<strong>colour of the filter</strong> largest change" in extended.client.get(f"/jobs/{job_id}").text
     assert "tint fgsm" in extended.client.get("/").text
     wrong = {"scene": scene(), "attack": {"method": "random-search", "spread": -1}}
     answer = extended.client.post("/v1/jobs", json=wrong)

@@ -118,10 +118,10 @@ def test_an_export_is_replayed_from_its_folder_alone(
     if name == "uploads":
         shown = MarkdownIt().enable("table").parse((export / "README.md").read_text())
         texts = [plain_text(token) for token in shown if token.type == "inline" and "ball" in token.content]
-        assert [text for text in texts if HOSTILE in text] == [
-            f"{HOSTILE}: torch combined fgsm against {NETWORK}",
-            HOSTILE,
-        ]
+        title, finding, credit = (text for text in texts if HOSTILE in text)
+        assert title == f"{HOSTILE}: torch combined fgsm against {NETWORK}"
+        assert finding.startswith(f"material of {HOSTILE}: ")
+        assert credit == HOSTILE
 
 
 def plain_text(inline: Token) -> str:

@@ -68,7 +68,6 @@ async def test_job_page_tells_the_whole_result(record: Record) -> None:
     assert images == [f"/v1/jobs/{job.id}/artifacts/{name}.png" for name in ("original", "attacked", "perturbation")]
     for words in (
         "it says upright (55.0 %) where it said grand piano (77.0 %)",
-        "p of surface normals 20.00 × 10⁻³",
         "surface normals + illumination upright 60.0 % 31.0 % 7.50 (8.00 as saved) fooled",
         "Perceptibility p = 11.70 (12.30 as saved) × 10⁻³ after 5 steps",
         "surface normals -2.250 -31.00 % +0.500 with illumination",
