@@ -240,7 +240,7 @@ def dials_turned(scene: ResolvedScene, renderer: Renderer, change: Tensor) -> It
         turned = Change(
             group="dials",
             subject=subject,
-            sentence=f"became {listed(words)}, by {number(100 * used)} % of its natural range",
+            sentence=f"became {listed(words)}, using {number(100 * used)} % of its natural range",
             values=[from_zero(size, subject) for size in sizes],
             curves=lobe_curves(before[k], (after - before)[k].cpu()),
         )
