@@ -15,6 +15,7 @@ from torch import Tensor
 
 from scene_attack.extras import extra
 from scene_attack.rendering.declaration import RENDERERS, SHORTEST_WAVE
+from scene_attack.rendering.opengl.gbuffer import rasterise
 from scene_attack.rendering.protocol import Parameters
 from scene_attack.rendering.pyrender.declaration import PYRENDER
 from scene_attack.rendering.pyrender.parameters import ENERGY, IRRADIANCE, SceneParameters
@@ -24,6 +25,7 @@ from scene_attack.rendering.torch.light import illumination
 from scene_attack.rendering.torch.moved import moved, places
 from scene_attack.rendering.torch.renderer import TorchRenderer
 from scene_attack.rendering.torch.shape import Shape
+from scene_attack.rendering.torch.surfaces import visible_surfaces
 from scene_attack.rendering.torch.table import to_vectors
 from scene_attack.scenes.mesh import Bytes, Floats
 from scene_attack.scenes.resolve import ResolvedScene
@@ -172,7 +174,7 @@ def normal_maps(scene: ResolvedScene, perturbation: Parameters) -> BeforeAfter:
         turned = renderer.bump.turned(angles[shown.pixels], perturbation["bump"].double())
         nearest = shown.rank == 0
         after = angles.index_copy(0, shown.pixels[nearest], turned[nearest]).view_as(after)
-    before = TorchRenderer(scene, tolerance="exact").initial()["normals"]
+    before = visible_surfaces(rasterise(scene), torch.as_tensor(scene.view, dtype=torch.float64)[:3, :3]).image
     return BeforeAfter(_vectors(before, (before != 0).any(-1, keepdim=True)), _vectors(after, is_surface))
 
 
