@@ -1,5 +1,7 @@
 """The table of networks that know one look beside those that were trained on many, and beside the paper's."""
 
+from collections.abc import Sequence
+
 from benchmarks.study.record import Record
 from benchmarks.study.tables import (
     BETWEEN,
@@ -14,44 +16,57 @@ from benchmarks.study.tables import (
     title,
     truncated,
 )
+from scene_attack.analysis.campaign_table import Cell
 
 GROUPS = ("illumination", "material")
 TRAINED = {"one-look": "one look", "furniture": "varied looks"}
 """How a network was trained, by the end of its name; before it is the architecture's."""
 
 
-def light_and_material(record: Record) -> str:
-    """For each training and setting the views fooled by light and by material, p, intervals and truncated pixels.
+def light_and_material(records: Sequence[Record]) -> str:
+    """For each training and setting the views fooled by light and by material, with p, and truncated pixels.
 
-    Columns are called "<group>" or "<group>, <setting>"; a setting's row has both groups where both have it.
+    Columns are called "<group>" or "<group>, <setting>"; a setting's row has both groups where both have it, and
+    other columns are left out.
     """
-    table = record.table()
-    settings = dict.fromkeys(attack.partition(SETTING)[2] for attack in table.attacks)
+    found = {(cell.target, cell.attack): cell for record in records for cell in record.table().cells}
+    named = [attack.partition(SETTING) for _, attack in found]
+    settings = dict.fromkeys(setting for group, _, setting in named if group in GROUPS)
+    architectures = dict.fromkeys(target.partition("-")[0] for target, _ in found if target.endswith("-one-look"))
     stated = paper()["classification"]["differentiable"]
     rows: list[list[str]] = []
-    for shipped in ordered({f"{target.partition('-')[0]}-furniture" for target in table.targets}):
+    for shipped in ordered(f"{architecture}-furniture" for architecture in architectures):
         theirs = stated["targets"][shipped]
         block = [["paper", str(stated["views"]), *(text for group in GROUPS for text in _paper(theirs, group))]]
         for ending, words in TRAINED.items():
+            target = f"{shipped.partition('-')[0]}-{ending}"
             for setting in settings:
                 names = [f"{group}{SETTING}{setting}" if setting else group for group in GROUPS]
-                cells = [table.cell(f"{shipped.partition('-')[0]}-{ending}", name) for name in names]
+                cells = [found.get((target, name)) for name in names]
                 views = sorted({cell.success.of for cell in cells if cell is not None})
                 if views:
                     about = f"{words}, {setting}" if setting else words
-                    came = ((bold(both(cell, "success")), interval(cell), truncated(cell)) for cell in cells)
+                    came = (_ours(cell) for cell in cells)
                     block.append([about, " and ".join(map(str, views)), *(text for texts in came for text in texts)])
         rows += [[f"**{title(shipped)}**" if place == 0 else "", *row] for place, row in enumerate(block)]
     heads = (
         "network",
         "trained on",
         "n",
-        *(head for group in GROUPS for head in (group, "95 % interval", "truncated")),
+        *(
+            head
+            for group in GROUPS
+            for head in (f"{group}, paper's count", "verified", "95\u00a0% interval", "truncated")
+        ),
     )
     return markdown(heads, rows, texts=2)
 
 
-def _paper(theirs: dict[str, list[float | None]], group: str) -> tuple[str, str, str]:
+def _ours(cell: Cell | None) -> tuple[str, str, str, str]:
+    return both(cell, "loop_success"), bold(both(cell, "success")), interval(cell), truncated(cell)
+
+
+def _paper(theirs: dict[str, list[float | None]], group: str) -> tuple[str, str, str, str]:
     place: int = paper()["classification"]["differentiable"]["columns"].index(group)
     stated = f"{theirs['success'][place]:.1f}{BETWEEN}{theirs['p'][place]:.1f}"
-    return stated, "", decimal(theirs["truncated"][place])
+    return stated, "", "", decimal(theirs["truncated"][place])
