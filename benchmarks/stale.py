@@ -62,6 +62,7 @@ DEPENDS: dict[str, tuple[str, ...]] = {
     "docs/study/lite0.json": (*BOTH, LITE0),
     "docs/study/nondifferentiable.json": ("pyrender", ALEXNET, RESNET),
     "docs/study/physical.json": ("torch", ALEXNET, RESNET),
+    "docs/study/physical-lite0.json": ("torch", LITE0),
     "docs/study/tolerances.json": ("torch", ALEXNET),
     "docs/study/vqa-differentiable.json": ("torch", IEP),
     "docs/study/vqa-nondifferentiable.json": ("pyrender", IEP),

@@ -183,7 +183,7 @@ VQA = Page(
         "foot": foot,
     },
 )
-CHANGES = ("physical",)
+CHANGES = ("physical", "physical-lite0")
 """The records of the table of changes."""
 PHYSICAL = Page(
     name="physical.md",

@@ -21,6 +21,8 @@ TITLES = {
     "resnet34-furniture": "ResNet-34",
     "efficientnet-lite0": "EfficientNet-Lite0",
     "iep": "IEP",
+    "alexnet-one-look": "AlexNet, one look",
+    "resnet34-one-look": "ResNet-34, one look",
 }
 """Names of the networks on the pages, in their order there; the first two are the paper's architectures."""
 CLASSIFICATION, VQA = "classification", "vqa"
