@@ -63,6 +63,7 @@ DEPENDS: dict[str, tuple[str, ...]] = {
     "docs/study/nondifferentiable.json": ("pyrender", ALEXNET, RESNET),
     "docs/study/physical.json": ("torch", ALEXNET, RESNET),
     "docs/study/physical-lite0.json": ("torch", LITE0),
+    "docs/study/pose.json": ("torch", ALEXNET, RESNET, LITE0),
     "docs/study/tolerances.json": ("torch", ALEXNET),
     "docs/study/vqa-differentiable.json": ("torch", IEP),
     "docs/study/vqa-nondifferentiable.json": ("pyrender", IEP),

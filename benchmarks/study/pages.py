@@ -27,11 +27,12 @@ class Page:
 
     name: of the page, and of the hand-written text beside this file, with the places of the parts as {{name}}.
     curves: the records by the names of their files, each of the campaign examples/paper-<name>.json, with what draws
-    the curves of a record and a network. with_examples: the campaigns of which examples are shown. parts: by name.
+    the curves of a record and a network, or None where the page has none. with_examples: the campaigns of which
+    examples are shown. parts: by name.
     """
 
     name: str
-    curves: Mapping[str, Callable[[Record, str], str]]
+    curves: Mapping[str, Callable[[Record, str], str] | None]
     with_examples: tuple[str, ...]
     parts: Mapping[str, Callable[[Study], str]]
 
@@ -49,9 +50,10 @@ class Page:
                 raise ValueError(f"{self.name} must have {mark} once")
             text = text.replace(mark, part(study))
         charts = {
-            chart(name, target): self.curves[name](record, target)
-            for name, record in records.items()
-            for target in record.table().targets
+            chart(name, target): draw(records[name], target)
+            for name, draw in self.curves.items()
+            if draw is not None
+            for target in records[name].table().targets
         }
         return {self.name: text, **charts}
 
@@ -183,16 +185,18 @@ VQA = Page(
         "foot": foot,
     },
 )
-CHANGES = ("physical", "physical-lite0")
+ALL_CHANGES = ("physical", "physical-lite0")
+"""The records of every change on a network's views."""
+CHANGES = (*ALL_CHANGES, "pose")
 """The records of the table of changes."""
 PHYSICAL = Page(
     name="physical.md",
-    curves=dict.fromkeys(CHANGES, curves.changes) | {"around": curves.around},
+    curves=dict.fromkeys(ALL_CHANGES, curves.changes) | {"pose": None, "around": curves.around},
     with_examples=("physical",),
     parts={
         "views": of_all(CHANGES, tables.views),
         "changes": of_all(CHANGES, physical.changes),
-        "change curves": curves_of(*CHANGES),
+        "change curves": curves_of(*ALL_CHANGES),
         "coverage": of_all(CHANGES, physical.by_coverage),
         "wavelengths": of("physical", physical.by_wavelength),
         "around": of("around", physical.around),
