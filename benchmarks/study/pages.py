@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from benchmarks.study import curves, equal_p, examples, physical, tables
+from benchmarks.study import curves, equal_p, examples, one_look, physical, tables
 from benchmarks.study.record import Record, load
 
 
@@ -134,6 +134,8 @@ def foot(study: Study) -> str:
 
 FIRST = ("differentiable", "lite0")
 """The records of the first table."""
+ONE_LOOK = ("one-look-alexnet",)
+"""The records of networks that know one look, beside those that ship."""
 CLASSIFICATION = Page(
     name="classification.md",
     curves={
@@ -142,6 +144,7 @@ CLASSIFICATION = Page(
         "nondifferentiable": curves.nondifferentiable,
         "equal-p": equal_p.draw,
         "tolerances": curves.differentiable,
+        "one-look-alexnet": None,
     },
     with_examples=("differentiable", "nondifferentiable"),
     parts={
@@ -156,6 +159,8 @@ CLASSIFICATION = Page(
         "nondifferentiable": of("nondifferentiable", tables.nondifferentiable),
         "nondifferentiable curves": curves_of("nondifferentiable"),
         "equal p": of("equal-p", equal_p.section),
+        "one look views": of_all(ONE_LOOK, tables.views),
+        "one look": of_all((*ONE_LOOK, "differentiable"), one_look.light_and_material),
         "tolerances": of_all(["tolerances"], tables.work),
         "tolerance curves": curves_of("tolerances"),
         "examples": shown,
