@@ -32,22 +32,22 @@ def light_and_material(records: Sequence[Record]) -> str:
     found = {(cell.target, cell.attack): cell for record in records for cell in record.table().cells}
     named = [attack.partition(SETTING) for _, attack in found]
     settings = dict.fromkeys(setting for group, _, setting in named if group in GROUPS)
-    architectures = dict.fromkeys(target.partition("-")[0] for target, _ in found if target.endswith("-one-look"))
     stated = paper()["classification"]["differentiable"]
     rows: list[list[str]] = []
-    for shipped in ordered(f"{architecture}-furniture" for architecture in architectures):
+    for target in ordered({target for target, _ in found if target.endswith("-one-look")}):
+        architecture = target.removesuffix("-one-look")
+        shipped = f"{architecture}-furniture"
         theirs = stated["targets"][shipped]
         block = [["paper", str(stated["views"]), *(text for group in GROUPS for text in _paper(theirs, group))]]
         for ending, words in TRAINED.items():
-            target = f"{shipped.partition('-')[0]}-{ending}"
             for setting in settings:
                 names = [f"{group}{SETTING}{setting}" if setting else group for group in GROUPS]
-                cells = [found.get((target, name)) for name in names]
+                cells = [found.get((f"{architecture}-{ending}", name)) for name in names]
                 views = sorted({cell.success.of for cell in cells if cell is not None})
                 if views:
                     about = f"{words}, {setting}" if setting else words
-                    came = (_ours(cell) for cell in cells)
-                    block.append([about, " and ".join(map(str, views)), *(text for texts in came for text in texts)])
+                    ours = (text for cell in cells for text in _ours(cell))
+                    block.append([about, " and ".join(map(str, views)), *ours])
         rows += [[f"**{title(shipped)}**" if place == 0 else "", *row] for place, row in enumerate(block)]
     heads = (
         "network",

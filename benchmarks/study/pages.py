@@ -144,7 +144,7 @@ CLASSIFICATION = Page(
         "nondifferentiable": curves.nondifferentiable,
         "equal-p": equal_p.draw,
         "tolerances": curves.differentiable,
-        "one-look-alexnet": None,
+        **dict.fromkeys(ONE_LOOK),
     },
     with_examples=("differentiable", "nondifferentiable"),
     parts={
@@ -190,18 +190,18 @@ VQA = Page(
         "foot": foot,
     },
 )
-ALL_CHANGES = ("physical", "physical-lite0")
-"""The records of every change on a network's views."""
-CHANGES = (*ALL_CHANGES, "pose")
+DRAWN = ("physical", "physical-lite0")
+"""The records of several changes, whose curves are compared."""
+CHANGES = (*DRAWN, "pose")
 """The records of the table of changes."""
 PHYSICAL = Page(
     name="physical.md",
-    curves=dict.fromkeys(ALL_CHANGES, curves.changes) | {"pose": None, "around": curves.around},
+    curves=dict.fromkeys(DRAWN, curves.changes) | {"pose": None, "around": curves.around},
     with_examples=("physical",),
     parts={
         "views": of_all(CHANGES, tables.views),
         "changes": of_all(CHANGES, physical.changes),
-        "change curves": curves_of(*ALL_CHANGES),
+        "change curves": curves_of(*DRAWN),
         "coverage": of_all(CHANGES, physical.by_coverage),
         "wavelengths": of("physical", physical.by_wavelength),
         "around": of("around", physical.around),
