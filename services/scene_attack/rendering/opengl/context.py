@@ -126,7 +126,7 @@ def _stamp(path: str) -> list[int] | None:
 
 
 PLATFORMS = ("egl", "osmesa")
-PACKAGES = "install the Debian packages `libegl1 libgl1 libgl1-mesa-dri` (EGL) or `libosmesa6 libgl1` (OSMesa)"
+PACKAGES = "install the Debian packages `libegl1 libgl1 libgl1-mesa-dri`, and for OSMesa `libosmesa6`"
 
 
 @dataclass(frozen=True)
@@ -145,6 +145,8 @@ class Context:
 
 
 _context: Context | None = None
+_egl_trouble = ""
+"""Why `choose_platform` did not take EGL, for the message if OSMesa fails, too."""
 _lock = threading.Lock()
 
 
@@ -182,6 +184,7 @@ def choose_platform() -> str:
     A PYOPENGL_PLATFORM that is already set is kept. Otherwise the setting `gl` decides; "auto" takes EGL if a separate
     process can draw with it (a broken driver may abort the process that tries it), else OSMesa.
     """
+    global _egl_trouble
     platform = options().gl
     chosen = os.environ.get("PYOPENGL_PLATFORM")
     if chosen is not None:
@@ -200,14 +203,14 @@ def choose_platform() -> str:
         elif platform == "egl":
             raise JobFailure("internal", f"EGL does not work here ({trouble}); {PACKAGES}")
         else:
-            platform = "osmesa"
+            platform, _egl_trouble = "osmesa", f"; with egl: {trouble}"
     os.environ["PYOPENGL_PLATFORM"] = platform
     return platform
 
 
 def try_egl_devices() -> str:
     """The number of the first EGL device that can draw in floating point. Runs in the probe's own process."""
-    _check_once_a_draw("egl")
+    _set_up_libraries("egl")
     from pyrender.platforms import egl
 
     device_id = os.environ.get("EGL_DEVICE_ID")
@@ -231,11 +234,16 @@ def _load_triton() -> None:
         import_module("triton")
 
 
-def _check_once_a_draw(platform: str) -> None:
-    """Tell PyOpenGL not to ask for errors after every call, which takes as long as drawing a small part: `draw` asks
-    once, at its end. Read when OpenGL.GL is imported, which importing pyrender does."""
-    import OpenGL
+def _set_up_libraries(platform: str) -> None:
+    """Sets what PyOpenGL and pyglet read when pyrender imports them.
 
+    PyOpenGL must not ask for errors after every call, which takes as long as drawing a small part: `draw` asks once, at
+    its end. pyglet, of which pyrender's viewer is made, must not look for X11's libraries: a server may lack them.
+    """
+    import OpenGL
+    import pyglet
+
+    pyglet.options["headless"] = True
     if platform == "egl":
         import OpenGL.EGL  # PyOpenGL cannot import this part without its checks
 
@@ -244,8 +252,8 @@ def _check_once_a_draw(platform: str) -> None:
 
 def _create(platform: str) -> Context:
     _load_triton()
-    _check_once_a_draw(platform)
     try:
+        _set_up_libraries(platform)
         # A 1x1 window surface: everything is drawn into framebuffers of our own.
         if platform == "egl":
             from pyrender.platforms import egl
@@ -264,4 +272,4 @@ def _create(platform: str) -> Context:
         renderer.check()
         return Context(renderer, f"{platform} {describe()}", os.getpid(), threading.get_ident())
     except Exception as error:
-        raise JobFailure("internal", f"cannot draw with {platform} ({error!r}); {PACKAGES}") from error
+        raise JobFailure("internal", f"cannot draw with {platform} ({error!r}{_egl_trouble}); {PACKAGES}") from error

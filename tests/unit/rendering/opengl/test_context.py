@@ -1,6 +1,7 @@
 import dataclasses
 import json
 import os
+import sys
 import threading
 
 import numpy as np
@@ -60,6 +61,24 @@ def test_a_platform_that_fails_says_what_to_install() -> None:
     answer = on_platform("egl", code)
     assert answer.startswith("JobFailure internal: cannot draw with egl")
     assert "libosmesa6" in answer
+
+
+def test_where_no_platform_draws_both_reasons_are_said(fresh: pytest.MonkeyPatch) -> None:
+    fresh.setenv("EGL_DEVICE_ID", "99")
+    fresh.setitem(sys.modules, "pyrender.platforms.osmesa", None)
+    with pytest.raises(JobFailure, match=r"cannot draw with osmesa \(.*osmesa.*; with egl: .*device 99.*libosmesa6"):
+        context._create(context.choose_platform())  # noqa: SLF001
+
+
+@pytest.mark.parametrize("platform", PLATFORMS)
+def test_no_library_of_a_desktop_is_needed(platform: str) -> None:
+    """pyglet, of which pyrender's viewer is made, asked for libXrender; a server without it could draw nothing."""
+    code = "import sys; sys.modules['tkinter'] = None\n"  # of which the viewer can do without, and which loads it, too
+    code += "from scene_attack.rendering.opengl import context; context.current()\n"
+    code += "print(*(path for path in context.loaded() if 'Mesa' in path or 'EGL' in path or 'Xrender' in path))"
+    libraries = on_platform(platform, code)
+    assert "Mesa" in libraries or "EGL" in libraries
+    assert "Xrender" not in libraries
 
 
 def test_a_platform_already_chosen_is_kept(fresh: pytest.MonkeyPatch) -> None:
