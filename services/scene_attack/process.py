@@ -10,6 +10,7 @@ The API checks the setting of the device, too, and it loads no torch: nothing he
 import os
 import platform
 import sys
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import lru_cache
@@ -144,6 +145,8 @@ def _make_deterministic() -> None:
     """Makes CUDA's libraries deterministic, and turns off TensorFloat-32."""
     import torch
 
+    # Torch says so of its thread for gradients, and then sets one.
+    warnings.filterwarnings("ignore", "Attempting to run cuBLAS, but there was no current CUDA context")
     os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")  # read when cuBLAS is first used
     torch.backends.cudnn.allow_tf32 = False
     torch.backends.cudnn.benchmark = False

@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import nullcontext
 from math import isfinite
 from pathlib import Path
 
@@ -14,29 +15,37 @@ from typer.testing import CliRunner
 from scene_attack.attacks.problem import generator
 from scene_attack.cli.app import app
 from scene_attack.errors import InvalidRequest
+from scene_attack.export.bundle import into_folder, write_bundle
 from scene_attack.process import check_device, describe, device, replaced
 from scene_attack.rendering.factory import build
 from scene_attack.rendering.kernels import compiled
+from scene_attack.rendering.torch.declaration import TORCH
 from scene_attack.runs.execute import execute
+from scene_attack.runs.prepare import KEPT_SCENES
 from scene_attack.runs.spec import parse
 from scene_attack.scenes.library import Library
 from scene_attack.scenes.resolve import resolve
 from scene_attack.targets import registry
 from scene_attack_service.settings import Settings
+from tests.card import card
 
 pytestmark = pytest.mark.slow
 
-PRESENT = ["cpu", *(f"cuda:{i}" for i in range(min(1, torch.cuda.device_count())))]
-"""The devices of this machine."""
 
-
-@pytest.fixture(params=PRESENT)
+@pytest.fixture(params=["cpu", "cuda:0"])
 def chosen(request: pytest.FixtureRequest) -> Iterator[str]:
-    """A device that is there, chosen by the setting."""
-    registry.load.cache_clear()
-    with replaced(device=request.param):
+    """A device, chosen by the setting. A machine without CUDA pretends to have it."""
+    forget()
+    pretended = request.param != "cpu" and not torch.cuda.is_available()
+    with card() if pretended else nullcontext(), replaced(device=request.param):
         yield request.param
+    forget()
+
+
+def forget() -> None:
+    """Forgets what a process, whose device never changes, keeps on it."""
     registry.load.cache_clear()
+    KEPT_SCENES.clear()
 
 
 @pytest.mark.parametrize("name", ["cuda:99", *([] if torch.cuda.is_available() else ["cuda", "cuda:0"])])
@@ -119,6 +128,38 @@ def test_a_job_runs_on_every_device(chosen: str, method: dict[str, object], rend
     )
     assert result.provenance.backend.count(f" {chosen}") == 2  # the renderer's and the network's
     assert len(result.trace) > 0
+
+
+GROUPS = [
+    ["normals", "illumination", "material"],
+    ["illumination_rgb", "bump", "dials"],
+    ["paint", "lamp", "shape"],
+    ["translation", "rotation", "camera"],
+]
+MORE: dict[str, dict[str, object]] = {
+    "normals": {"analysis": {"minimal": {}, "interpretation": {"steps": 1}, "rerendering": {"steps": 1}}},
+    "paint": {"attack": {"expectation": {"azimuth": 5, "noise": 1, "samples": 1, "checks": 2}}},
+}
+"""What a job also asks for, by its first group."""
+
+
+@pytest.mark.parametrize("groups", GROUPS, ids="+".join)
+def test_every_group_is_attacked_analysed_and_exported_on_every_device(
+    chosen: str, groups: list[str], tmp_path: Path
+) -> None:
+    scene = SCENE | {"camera": {"size": [24, 24]}, "lights": {"environment": {"size": [8, 16]}}, "shadows": {}}
+    more = MORE.get(groups[0], {})
+    attack = {"renderer": "torch", "groups": groups, "method": "fgsm", "steps": 1, **more.get("attack", {})}
+    library, out = Library(Settings().cache_dir, tmp_path), tmp_path / "out"
+    result = execute(parse({"scene": scene, "attack": attack, "analysis": more.get("analysis", {})}), out, library)
+    assert result.provenance.backend.count(f" {chosen}") == 2
+    assert {change.group for change in result.change.things} == set(groups)
+    write_bundle({file.name: file.read_bytes for file in out.iterdir()}, library, into_folder(tmp_path / "export"))
+    assert (tmp_path / "export" / "scene_after.glb").exists()
+
+
+def test_the_groups_are_all_that_the_torch_renderer_has() -> None:
+    assert sorted(group for groups in GROUPS for group in groups) == sorted(TORCH.group_names)
 
 
 @pytest.mark.parametrize("method", ["fgsm", "zoo"])

@@ -170,10 +170,11 @@ def normal_maps(scene: ResolvedScene, perturbation: Parameters) -> BeforeAfter:
     if "normals" in perturbation:
         after = after + perturbation["normals"].double()
     if "bump" in perturbation:
-        shown, angles = renderer.bump.shown, after.reshape(-1, 2)
+        shown = renderer.bump.shown
+        angles = after.reshape(-1, 2).to(shown.pixels.device)
         turned = renderer.bump.turned(angles[shown.pixels], perturbation["bump"].double())
         nearest = shown.rank == 0
-        after = angles.index_copy(0, shown.pixels[nearest], turned[nearest]).view_as(after)
+        after = angles.index_copy(0, shown.pixels[nearest], turned[nearest]).cpu().view_as(after)
     before = visible_surfaces(rasterise(scene), torch.as_tensor(scene.view, dtype=torch.float64)[:3, :3]).image
     return BeforeAfter(_vectors(before, (before != 0).any(-1, keepdim=True)), _vectors(after, is_surface))
 

@@ -64,7 +64,7 @@ def _kinds(name: str) -> tuple[tuple[bool, ...], tuple[bool, ...]]:
 def bounds(of_lobes: Tensor, lightest: Tensor) -> tuple[Tensor, Tensor]:
     """Returns the lowest and highest dials, float64 [objects, 5]. `of_lobes` are the objects' `kinds`; `lightest`
     [objects, 3] is their largest base colour by channel, which no tint makes lighter than white."""
-    high = torch.ones(len(of_lobes), len(NAMES), dtype=torch.float64)
+    high = of_lobes.new_ones(len(of_lobes), len(NAMES))
     high[:, 1] -= of_lobes.all(2).all(1).double()
     high[:, 2:] = (-lightest.double().clamp_min(1e-3).log() / log(TINT)).clamp(0.0, 1.0)
     return -torch.ones_like(high), high

@@ -90,18 +90,20 @@ class Places:
         return cls.at(lattice, points, index, torch.ones_like(index, dtype=torch.bool))
 
     def values(self, coefficients: Tensor) -> Tensor:
-        """Values [P, C] of the functions that have the coefficients [objects, nodes, nodes, nodes, C]. They are
-        differentiable (once)."""
-        values: Tensor = _Sums.apply(coefficients.flatten(0, 3), self, _of_values)  # type: ignore[no-untyped-call]
-        return values[:, 0]
+        """Values [P, C] of the functions that have the coefficients [objects, nodes, nodes, nodes, C], on the places'
+        device. They are differentiable (once)."""
+        return self._sums(coefficients, _of_values)[:, 0]
 
     def gradients(self, coefficients: Tensor) -> Tensor:
         """Gradients [P, 3, C], by the axes of the objects' frames, of the functions that have the coefficients
-        [objects, nodes, nodes, nodes, C], in their unit per scene unit at scale 1. They are differentiable (once)."""
-        gradients: Tensor = _Sums.apply(  # type: ignore[no-untyped-call]
-            coefficients.flatten(0, 3), self, _of_gradients
-        )
-        return gradients / self.lattice.spacing
+        [objects, nodes, nodes, nodes, C], in their unit per scene unit at scale 1, on the places' device. They are
+        differentiable (once)."""
+        return self._sums(coefficients, _of_gradients) / self.lattice.spacing
+
+    def _sums(self, coefficients: Tensor, weigh: "Weigh") -> Tensor:
+        of_nodes = coefficients.to(self.first.device).flatten(0, 3)
+        sums: Tensor = _Sums.apply(of_nodes, self, weigh)  # type: ignore[no-untyped-call]
+        return sums
 
     def weighted(self, weigh: "Weigh", dtype: torch.dtype) -> Iterator[tuple[slice, Tensor, Tensor]]:
         """Yields some of the places, the flat indices [p, 64] of their nodes, and the nodes' weights [p, K, 64]."""

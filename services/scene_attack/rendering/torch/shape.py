@@ -97,11 +97,11 @@ class Shape:
 
     def displaced(self, places: Places) -> Tensor:
         """Displacements [P, 3] of points, in scene units of the objects' frames at scale 1."""
-        return places.values(self.drawn.to(places.within.device)) * UNIT
+        return places.values(self.drawn) * UNIT
 
     def stretch(self, places: Places) -> Tensor:
         """Jacobians J [P, 3, 3] of where points go, in the objects' frames."""
-        gradients = places.gradients(self.drawn.to(places.within.device)) * UNIT
+        gradients = places.gradients(self.drawn) * UNIT
         return torch.eye(3).to(gradients) + gradients.mT
 
     def rest(self, points: Tensor, index: Tensor) -> Tensor:

@@ -217,7 +217,7 @@ def dials_turned(scene: ResolvedScene, renderer: Renderer, change: Tensor) -> It
     """Turns [objects, 5] of the dials of materials (scene_attack.rendering.torch.dials), by object, with the curves of
     its reflectance."""
     assert isinstance(renderer, TorchRenderer)
-    before, after = renderer.initial()["material"], renderer.turned(change)
+    before, after = renderer.initial()["material"], renderer.turned(change).cpu()
     for k, name in enumerate(object_names(scene.description, scene.titles)):
         own = change[k].double().tolist()
         if not any(own):
@@ -242,7 +242,7 @@ def dials_turned(scene: ResolvedScene, renderer: Renderer, change: Tensor) -> It
             subject=subject,
             sentence=f"became {listed(words)}, using {number(100 * used)} % of its natural range",
             values=[from_zero(size, subject) for size in sizes],
-            curves=lobe_curves(before[k], (after - before)[k].cpu()),
+            curves=lobe_curves(before[k], (after - before)[k]),
         )
         yield Worded(turned, sizes)
 
