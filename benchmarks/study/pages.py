@@ -134,7 +134,7 @@ def foot(study: Study) -> str:
 
 FIRST = ("differentiable", "lite0")
 """The records of the first table."""
-ONE_LOOK = ("one-look-alexnet",)
+ONE_LOOK = ("one-look-alexnet", "one-look-resnet34")
 """The records of networks that know one look, beside those that ship."""
 CLASSIFICATION = Page(
     name="classification.md",
