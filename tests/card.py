@@ -1,8 +1,8 @@
 """A CUDA device for machines without one: its tensors lie in the computer's memory, and must not meet the CPU's.
 
 It shows what ends a job on a real device: a tensor of the device that meets one of the CPU, or that is asked for its
-memory. It does not show what CUDA computes otherwise, nor what meets inside a backward pass, where torch hands on
-gradients that do not say where they are.
+memory. It does not show what CUDA computes otherwise, nor what meets in another thread or inside a backward pass, where
+torch hands on gradients that do not say where they are, nor a network's parameters that stayed on the CPU.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -17,7 +17,7 @@ from torch.overrides import TorchFunctionMode
 CARD, HOST = torch.device("cuda", 0), torch.device("cpu")
 MOVES = {"to", "cpu", "cuda"}
 JOINS = {"stack", "cat"}
-"""Functions that refuse even a number of another device."""
+"""Those of our functions that refuse even a tensor without axes of another device."""
 BACKWARD = (torch.autograd.grad, torch.autograd.backward, Tensor.backward)
 
 
@@ -80,7 +80,7 @@ def _attribute(func: Callable[..., Any], of: Tensor) -> Any:
 
 
 def _differentiated(func: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any:
-    """Runs a backward pass, which this mode does not see. A gradient is where what it is of is."""
+    """Runs a backward pass, which this mode does not see. A gradient is on the device of its input."""
     found = func(*args, **kwargs)
     if func is not torch.autograd.grad:
         return found
@@ -92,10 +92,11 @@ def _differentiated(func: Callable[..., Any], args: tuple[Any, ...], kwargs: dic
 
 
 def _check(name: str, args: tuple[Any, ...], tensors: list[Tensor]) -> None:
-    """Raises RuntimeError, as torch does, where tensors of both devices meet. The CPU's numbers and, in a tensor of the
-    device, the CPU's indices may. A network's parameters, which forget their class when they move, are anywhere."""
+    """Raises RuntimeError, as torch does, where tensors of both devices meet. Allowed are the CPU's tensors without
+    axes, and its indices into a tensor of the device. A network's parameters count as on either device, because moving
+    them loses the mark."""
     if name in ("__getitem__", "__setitem__") and isinstance(args[0], OnCard):
-        return
+        tensors = [*_tensors(args[2:])]  # what is put in
     for tensor in tensors:
         if not isinstance(tensor, OnCard | nn.Parameter) and (tensor.dim() > 0 or name in JOINS):
             raise RuntimeError(f"Expected all tensors to be on the same device, but found cuda:0 and cpu: {name}")

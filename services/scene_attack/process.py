@@ -142,10 +142,13 @@ def processor() -> str:
 
 
 def _make_deterministic() -> None:
-    """Makes CUDA's libraries deterministic, and turns off TensorFloat-32."""
+    """Makes CUDA's libraries deterministic where they can be, and turns off TensorFloat-32.
+
+    Torch warns of what it computes in no fixed order there: the gradient of the resizing before a network, for one.
+    """
     import torch
 
-    # Torch says so of its thread for gradients, and then sets one.
+    # Torch's thread for gradients warns of this, and then makes a context.
     warnings.filterwarnings("ignore", "Attempting to run cuBLAS, but there was no current CUDA context")
     os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")  # read when cuBLAS is first used
     torch.backends.cudnn.allow_tf32 = False

@@ -7,6 +7,7 @@ import typer
 
 from scene_attack.cli.commands.options import JsonOption
 from scene_attack.cli.console import FittedTable, err, print_found, print_json, remark
+from scene_attack.process import replaced
 
 app = typer.Typer(help="Reports on how exact and how stable the methods are.", no_args_is_help=True)
 
@@ -24,7 +25,7 @@ def stability(
     out: Annotated[Path, typer.Option(help="Directory for stability.md and stability.json.")] = OUT,
     as_json: JsonOption = False,
 ) -> None:
-    """Run every stiff and extreme case, and write the report.
+    """Run every stiff and extreme case on the CPU, and write the report.
 
     The exit code is 1 if any case failed; its reason is printed.
     """
@@ -37,7 +38,7 @@ def stability(
 
     torch.set_num_threads(options_to_run().threads)
     chosen, observations = cases(quick), []
-    with err().status("") as line:
+    with replaced(device="cpu"), err().status("") as line:
         for number, case in enumerate(chosen, 1):
             line.update(f"{number}/{len(chosen)}  {case.family}: {case.name}")
             observations.append(observe(case))
@@ -62,7 +63,7 @@ def work_precision(
     out: Annotated[Path, typer.Option(help="Directory for work-precision.md and .json.")] = OUT,
     as_json: JsonOption = False,
 ) -> None:
-    """Measure error against run time: plans of each tolerance, options of scenes; write the report.
+    """Measure error against run time on the CPU: plans of each tolerance, options of scenes; write the report.
 
     Its seconds mean something only on a machine that does nothing else.
     """
@@ -73,7 +74,7 @@ def work_precision(
 
     torch.set_num_threads(options_to_run().threads)
     command = "scene-attack accuracy work-precision" + (" --quick" if quick else "")
-    with err().status("") as line:
+    with replaced(device="cpu"), err().status("") as line:
         result = measure(QUICK if quick else FULL, command, line.update)
     write(result, out)
     if as_json:

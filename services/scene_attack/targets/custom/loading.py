@@ -51,7 +51,10 @@ class MaiteNetwork(nn.Module):
 
     def __init__(self, model: Callable[[Sequence[Tensor]], Sequence[Any]], size: tuple[int, int]) -> None:
         super().__init__()
-        self._model = model
+        # In a tuple, so that a model that is a module is no part of this one and stays on the CPU, as its images do.
+        self._models = (model,)
+        if isinstance(model, nn.Module):
+            model.eval()
         self.scores_only = self._trouble(size)
         """The reason for which scores have no gradients; None if they have."""
 
@@ -70,7 +73,7 @@ class MaiteNetwork(nn.Module):
         return self._answers(images if self.scores_only is None else images.detach()).to(x.device)
 
     def _answers(self, images: Tensor) -> Tensor:
-        return torch.stack([torch.as_tensor(scores, dtype=torch.float32) for scores in self._model(list(images))])
+        return torch.stack([torch.as_tensor(scores, dtype=torch.float32) for scores in self._models[0](list(images))])
 
 
 def is_maite(model: object) -> bool:

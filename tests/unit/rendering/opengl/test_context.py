@@ -21,6 +21,7 @@ pytestmark = pytest.mark.slow
 def fresh(monkeypatch: pytest.MonkeyPatch, tmp_path):
     """The environment of a process that has not chosen a platform yet, nor any before it."""
     monkeypatch.setattr(context, "_taken", {})
+    monkeypatch.setattr(context, "_egl_trouble", "")
     for name in ("PYOPENGL_PLATFORM", "EGL_DEVICE_ID"):
         monkeypatch.setenv(name, "")  # so that what the code under test sets is taken back afterwards
         monkeypatch.delenv(name)

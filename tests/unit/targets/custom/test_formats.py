@@ -1,12 +1,12 @@
 """The same network in every format gives the same answers, and the same adversary where it has gradients."""
 
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import pytest
 import torch
 from safetensors.torch import load_file
-from torch import Tensor
+from torch import Tensor, nn
 from torch.nn import functional as F
 
 import scene_attack as sa
@@ -17,6 +17,7 @@ from scene_attack.runs.result import Result
 from scene_attack.runs.spec import parse
 from scene_attack.runs.target_check import check
 from scene_attack.targets import registry
+from scene_attack.targets.custom.loading import MaiteNetwork
 from scene_attack.targets.info import TARGETS
 from tests.unit.jobs.small import LIBRARY
 from tests.unit.targets.custom import small_network
@@ -196,3 +197,27 @@ def test_the_card_says_how_an_image_becomes_the_input(scan: Scan, tmp_path: Path
     x = (x - mean) / std
     wanted = network().double()(x.flip(1) if channels == "bgr" else x)
     torch.testing.assert_close(registry.load("net").logits(images).double(), wanted, rtol=0, atol=1e-4)
+
+
+class MaiteModule(nn.Module):
+    """A MAITE model that is a torch module, too."""
+
+    metadata: ClassVar = {"id": "module"}
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.layers = nn.Sequential(nn.Flatten(), nn.Dropout(0.5), nn.Linear(12, 3))
+
+    def forward(self, batch: list[Tensor]) -> list[Tensor]:
+        assert not self.training
+        return list(self.layers(torch.stack(list(batch))))
+
+
+def test_a_maite_model_that_is_a_module_does_not_move_to_a_device() -> None:
+    """It gets CPU tensors wherever the network is."""
+    model = MaiteModule()
+    wrapped = MaiteNetwork(model, (2, 2))
+    assert wrapped.scores_only is None
+    wrapped.to(torch.float64)
+    assert {value.dtype for value in model.parameters()} == {torch.float32}
+    assert wrapped(torch.ones(2, 3, 2, 2, dtype=torch.float64)).shape == (2, 3)
