@@ -241,9 +241,8 @@ def _set_up_libraries(platform: str) -> None:
     its end. pyglet, of which pyrender's viewer is made, must not look for X11's libraries: a server may lack them.
     """
     import OpenGL
-    import pyglet
 
-    pyglet.options["headless"] = True
+    os.environ.setdefault("PYGLET_HEADLESS", "true")
     if platform == "egl":
         import OpenGL.EGL  # PyOpenGL cannot import this part without its checks
 
