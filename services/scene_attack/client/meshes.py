@@ -51,7 +51,7 @@ def with_meshes_added(
     def named(mesh: str, _: str) -> str:
         if not isinstance(mesh, MeshArrays) and not is_path(mesh):
             if not mesh.startswith(_NAMED) and (folder / mesh).is_file():
-                not_added[mesh] = f"there is no mesh {mesh!r}; a file beside the spec is written './{mesh}'"
+                not_added[mesh] = f"there is no mesh {mesh!r}; a file of one's own is written './{mesh}'"
         elif mesh not in added and mesh not in not_added:
             try:
                 added[mesh], notes = add(mesh if isinstance(mesh, MeshArrays) else folder / mesh)

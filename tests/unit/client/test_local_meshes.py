@@ -106,7 +106,7 @@ def test_files_that_are_no_meshes_are_refused_with_all_else_that_is_wrong(
     assert "there is no file" in found["scene.objects.1.mesh"]
     assert "no vertices" in found["scene.objects.2.mesh"]
     assert found["scene.objects.3.mesh"] == (
-        "there is no mesh 'chair.obj'; a file beside the spec is written './chair.obj'"
+        "there is no mesh 'chair.obj'; a file of one's own is written './chair.obj'"
     )
 
 
