@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from torch.overrides import TorchFunctionMode
 
 CARD, HOST = torch.device("cuda", 0), torch.device("cpu")
-MOVES = {"to", "cpu", "cuda"}
+MOVES = {"to", "cpu", "cuda", "copy_"}
 JOINS = {"stack", "cat"}
 """Those of our functions that refuse even a tensor without axes of another device."""
 BACKWARD = (torch.autograd.grad, torch.autograd.backward, Tensor.backward)
@@ -43,7 +43,7 @@ class Card(TorchFunctionMode):
         on_card = any(isinstance(tensor, OnCard) for tensor in tensors)
         if on_card and name in ("numpy", "__array__"):
             raise TypeError("can't convert cuda:0 device type tensor to numpy")
-        if on_card and name not in {*MOVES, "copy_"}:
+        if on_card and name not in MOVES:
             _check(name, args, tensors)
         device = _device(name, args, kwargs)
         if name in ("cpu", "cuda"):
@@ -112,9 +112,7 @@ def _device(name: str, args: tuple[Any, ...], kwargs: dict[str, Any]) -> torch.d
     asked = [value for value in args if isinstance(value, torch.device)]
     asked += [torch.device(value) for value in args[1:] if name == "to" and isinstance(value, str)]
     asked += [torch.device(kwargs["device"])] if kwargs.get("device") is not None else []
-    if asked:
-        return asked[0]
-    return None
+    return asked[0] if asked else None
 
 
 def _at_home(value: Any) -> Any:

@@ -148,12 +148,20 @@ def _make_deterministic() -> None:
     """
     import torch
 
-    # Torch's thread for gradients warns of this, and then makes a context.
-    warnings.filterwarnings("ignore", "Attempting to run cuBLAS, but there was no current CUDA context")
+    _expect_no_context()
     os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")  # read when cuBLAS is first used
     torch.backends.cudnn.allow_tf32 = False
     torch.backends.cudnn.benchmark = False
     torch.use_deterministic_algorithms(True, warn_only=True)
+
+
+@lru_cache(maxsize=1)
+def _expect_no_context() -> None:
+    """Keeps torch's thread for gradients from warning that it has no CUDA context before it makes one.
+
+    Once in a process: whenever Python's filters change, it shows again every warning that it has shown.
+    """
+    warnings.filterwarnings("ignore", "Attempting to run cuBLAS, but there was no current CUDA context")
 
 
 def finite(values: "Tensor") -> bool:

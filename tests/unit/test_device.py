@@ -31,7 +31,8 @@ from tests.card import card
 
 pytestmark = [
     pytest.mark.slow,
-    # On CUDA, as docs/operations.md says.
+    # On CUDA: the second, as docs/operations.md says.
+    pytest.mark.filterwarnings("ignore:Attempting to run cuBLAS, but there was no current CUDA context:UserWarning"),
     pytest.mark.filterwarnings("ignore:.*does not have a deterministic implementation:UserWarning"),
 ]
 
