@@ -143,7 +143,7 @@ GROUPS = [
 ]
 MORE: dict[str, dict[str, object]] = {
     "normals": {"analysis": {"minimal": {}, "interpretation": {"steps": 1}, "rerendering": {"steps": 1}}},
-    "paint": {"attack": {"expectation": {"azimuth": 5, "noise": 1, "samples": 1, "checks": 2}}},
+    "paint": {"attack": {"expectation": {"azimuth": 5, "sensor": {}, "samples": 1, "checks": 2}}},
 }
 """What a job also asks for, by its first group."""
 

@@ -18,6 +18,7 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, Field
 
 from scene_attack.analysis.verdict import NORMAL_95, wilson
+from scene_attack.strict import absent
 
 
 class _Record(BaseModel):
@@ -44,6 +45,11 @@ class Case(_Record):
         None, description="p of the truncated float image in the loop, at the stored step"
     )
     truncated: int | None = Field(None, description="pixels that were truncated in at least one step")
+    survival: float | None = Field(
+        None,
+        exclude_if=absent,
+        description="share of cameras before which the verified adversary fools; null if that was not asked for",
+    )
     queries: int | None = None
     seconds: float | None = Field(None, description="run time of the attack")
     run_seconds: float | None = Field(None, description="run time of the whole job")
@@ -66,6 +72,25 @@ class Rate(_Record):
             return cls(count=0, of=0, rate=None, low=None, high=None)
         low, high = wilson(count, of)
         return cls(count=count, of=of, rate=count / of, low=low, high=high)
+
+
+class Mean(_Record):
+    """The mean of a figure of several cases, with its 95 % interval (normal approximation), null for a single case."""
+
+    mean: float
+    low: float | None
+    high: float | None
+    of: int = Field(description="cases")
+
+    @classmethod
+    def of_shares(cls, values: Sequence[float]) -> "Mean | None":
+        """The mean of shares in [0,1], within which the interval stays; None of none."""
+        if not values:
+            return None
+        middle, half = sum(values) / len(values), half_interval(values)
+        if half is None:
+            return cls(mean=middle, low=None, high=None, of=1)
+        return cls(mean=middle, low=max(0.0, middle - half), high=min(1.0, middle + half), of=len(values))
 
 
 Corners = list[tuple[float, int]]
@@ -95,6 +120,11 @@ class Cell(_Record):
         description="mean p of the truncated float images in the loop of those that the paper counts"
     )
     truncated: float | None = Field(description="mean number of pixels truncated in at least one step, over all cases")
+    survival: Mean | None = Field(
+        None,
+        exclude_if=absent,
+        description="mean share of cameras before which the verified adversaries fool; null if none was asked for",
+    )
     by_queries: Corners = Field(description="successes against queries, among `success.of` cases")
     by_seconds: Corners = Field(description="successes against seconds, among `success.of` cases")
     by_p: Corners = Field([], description="successes against p of the exact image, among `success.of` cases")
@@ -151,6 +181,7 @@ def _cell(target: str, attack: str, jobs: int, own: Sequence[Case]) -> Cell:
         perceptibility=mean([case.perceptibility for case in won]),
         loop_perceptibility=mean([case.loop_perceptibility for case in in_loop]),
         truncated=mean([case.truncated for case in counted]),
+        survival=Mean.of_shares([case.survival for case in won if case.survival is not None]),
         by_queries=corners([case.queries for case in won]),
         by_seconds=corners([case.seconds for case in won]),
         by_p=corners([case.perceptibility for case in won]),
@@ -163,6 +194,11 @@ def mean(values: Sequence[float | None]) -> float | None:
     """The mean of the values that are there; None if there is none."""
     there = [value for value in values if value is not None]
     return sum(there) / len(there) if there else None
+
+
+def half_interval(values: Sequence[float]) -> float | None:
+    """Half the width of the 95 % interval of the mean of some values (normal approximation); None for a single one."""
+    return NORMAL_95 * stdev(values) / len(values) ** 0.5 if len(values) > 1 else None
 
 
 def corners(work: Sequence[float | None]) -> Corners:
@@ -372,7 +408,7 @@ def part_means(attributions: Sequence[tuple[str, str, Mapping[str, Any]]]) -> li
             *at,
             jobs=len(own),
             value=sum(own) / len(own),
-            half=NORMAL_95 * stdev(own) / len(own) ** 0.5 if len(own) > 1 else None,
+            half=half_interval(own),
             first=first[at],
         )
         for at, own in values.items()
@@ -402,10 +438,12 @@ def to_csv(table: Table) -> str:
             *(cell.outcomes.get(name, 0) for name in OUTCOMES),
             *(value for name in RATES for _, value in getattr(cell, name)),
             *(getattr(cell, name) for name in means),
+            *(None if cell.survival is None else getattr(cell.survival, name) for name in Mean.model_fields),
         ]
         for cell in table.cells
     ]
-    return _csv(["campaign", "target", "attack", *COUNTS, *OUTCOMES, *rates, *means], rows)
+    survival = [f"survival_{part}" for part in Mean.model_fields]
+    return _csv(["campaign", "target", "attack", *COUNTS, *OUTCOMES, *rates, *means, *survival], rows)
 
 
 def cases_to_csv(cases: Sequence[CaseRow]) -> str:

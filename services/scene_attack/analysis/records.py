@@ -1,12 +1,14 @@
 """Requests of analyses beyond what every result has, and the records of all analyses. It needs no torch."""
 
+from collections.abc import Sequence
 from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from scene_attack.analysis.verdict import Verdict
+from scene_attack.analysis.verdict import Verdict, wilson
 from scene_attack.rendering.physical_change import PhysicalChange
-from scene_attack.strict import Model, reference
+from scene_attack.rendering.sensor.settings import SensorRange
+from scene_attack.strict import Model, absent, reference
 
 Name = Annotated[str, Field(min_length=1, max_length=100)]
 Steps = Annotated[int, Field(ge=1, le=10_000)]
@@ -82,6 +84,12 @@ class AdaptiveRequest(Model):
     fit: RerenderingRequest = Field(RerenderingRequest(steps=30), description="the defence that it attacks")
 
 
+class SurvivalRequest(SensorRange):
+    """Whether a verified adversary still fools the network when cameras take its image, and not a file."""
+
+    draws: Annotated[int, Field(ge=1, le=10_000)] = Field(64, description="cameras drawn from the range")
+
+
 class AnalysisRequest(Model):
     """The analyses of the stored perturbation to make after the attack. Each is left out unless it is named; {} gives
     its defaults. Perceptibility, the table of subsets and the groups' Shapley values are in every result.
@@ -90,6 +98,9 @@ class AnalysisRequest(Model):
     coordinates: CoordinatesRequest | None = Field(None, description="Shapley values of single coordinates")
     minimal: MinimalRequest | None = Field(None, description="the smallest scale that still fools")
     transfer: TransferRequest | None = Field(None, description="other targets and renderers")
+    survival: SurvivalRequest | None = Field(
+        None, exclude_if=absent, description="the share of cameras before which a verified adversary still fools"
+    )
     interpretation: InterpretationRequest | None = Field(None, description="fits of physical parameters to the image")
     rerendering: RerenderingRequest | None = Field(None, description="the re-rendering defence")
     adaptive: AdaptiveRequest | None = Field(None, description="an attack through the re-rendering defence")
@@ -245,19 +256,22 @@ class AdaptiveAttack(Record):
     perceptibility: float = Field(description="p(ΔY) of the attacked image as saved, of 8 bits")
 
 
+OnVariation = Literal["fooled", "held", "wrong"]
+
+
 class SeenFrom(Record):
     """A fresh view of the scene, and the network's answer there."""
 
     azimuth: float = Field(description="of the camera, beyond the scene's own, degrees")
     elevation: float = Field(description="likewise")
-    answer: Literal["fooled", "held", "wrong"] = Field(
+    answer: OnVariation = Field(
         description="whether the perturbation fools the network there; `wrong`: its answer is wrong without it"
     )
 
 
 class HeldOver(Record):
-    """Success of the stored perturbation over the range that its attack averaged over, on variations that no step of
-    the attack has seen, each rendered by the exact path. Intervals are Wilson's of 95 %.
+    """Success of the stored perturbation on fresh variations: over the range that its attack averaged over, each
+    rendered by the exact path, or as cameras take its exact image. Intervals are Wilson's of 95 %.
     """
 
     variations: int = Field(description="fresh variations")
@@ -271,6 +285,22 @@ class HeldOver(Record):
     wrong_share: float = Field(description="for comparison: share of all variations whose clean image is wrong already")
     wrong_interval: tuple[float, float]
 
+    @classmethod
+    def of(cls, answers: Sequence[OnVariation], views: Sequence[SeenFrom] = ()) -> "HeldOver":
+        """Counts the answers on variations."""
+        wrong, fooled = answers.count("wrong"), answers.count("fooled")
+        right = len(answers) - wrong
+        return cls(
+            variations=len(answers),
+            right=right,
+            fooled=fooled,
+            share=fooled / right if right else None,
+            interval=wilson(fooled, right) if right else None,
+            views=list(views),
+            wrong_share=wrong / len(answers),
+            wrong_interval=wilson(wrong, len(answers)),
+        )
+
     @property
     def sentence(self) -> str:
         """How far it holds: "over its range it fools 21 of the 24 fresh variations that the network has right"."""
@@ -283,6 +313,11 @@ class Analyses(Record):
     coordinates: Attribution | None = None
     minimal: MinimalChange | None = None
     transfer: list[Transferred] | None = None
+    survival: HeldOver | None = Field(
+        None,
+        exclude_if=absent,
+        description="the share of cameras before which the adversary fools; null also where it is not verified",
+    )
     interpretation: Interpretation | None = None
     rerendering: Rerendering | None = None
     adaptive: AdaptiveAttack | None = None

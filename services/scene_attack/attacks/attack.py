@@ -117,7 +117,7 @@ class Attack(Model):
     )
     expectation: Expectation | None = Field(
         default=None,
-        description="views, light and camera noise over which the adversary is to hold, so that the attack lowers the "
+        description="views, light and cameras over which the adversary is to hold, so that the attack lowers the "
         "mean objective; null: the scene itself alone",
     )
     wavelength: Annotated[float, Field(ge=SHORTEST_WAVE, le=1)] | None = Field(

@@ -24,7 +24,8 @@ from scene_attack.errors import JobFailure, named
 from scene_attack.process import finite
 from scene_attack.rendering import color
 from scene_attack.rendering.protocol import BOUND_SLACK, Renderer
-from scene_attack.rendering.variation import Variation, noisy, varied
+from scene_attack.rendering.sensor.settings import DRAWS, PLAIN, Sensor, SensorRange
+from scene_attack.rendering.variation import Variation, taken, varied
 from scene_attack.targets.protocol import Target
 
 CHUNK_VALUES = 8_000_000
@@ -135,7 +136,7 @@ class AttackProblem:
     distance_weight: float = 0.0
     """λ of the squared distance ‖ΔY‖² from the original."""
     expectation: Expectation | None = None
-    """Views, light and noise over which the objective is averaged; None: the scene itself alone."""
+    """Views, light and cameras over which the objective is averaged; None: the scene itself alone."""
     surrogate: Surrogate | None = None
     differences: Differences | None = None
     """Takes gradients of images for a renderer that has none; None: the renderer's own are taken."""
@@ -193,7 +194,7 @@ class AttackProblem:
             )
         self.counts.renders += len(deltas)
         check_images(self.renderer, images, len(deltas))
-        return images if variation is None else noisy(images, variation)
+        return images if variation is None else taken(images, variation)
 
     def scores(self, images: Tensor) -> Tensor:
         """The network's scores [B, K] of images. Raises JobFailure for what are no scores."""
@@ -348,9 +349,15 @@ def draw_variation(asked: Expectation, seed: int, *words: str | int) -> Variatio
         roll=radians(asked.roll) * around[2],
         distance=1 + asked.distance * around[3],
         intensity=1 + asked.intensity * around[4],
-        noise=asked.noise / 255,
+        sensor=PLAIN if asked.sensor is None else draw_sensor(asked.sensor, seed, *words),
         seed=derived(seed, "camera noise", *words),
     )
+
+
+def draw_sensor(asked: SensorRange, seed: int, *words: str | int) -> Sensor:
+    """A camera from the range, which depends on the seed and on `words` alone."""
+    random = generator(seed, "sensor", *words)
+    return asked.at(torch.rand(DRAWS, generator=random, dtype=torch.float64).tolist())
 
 
 # Random numbers of an attack that may be resumed: each step has a generator of its own, derived from the job's seed

@@ -1,4 +1,4 @@
-"""Settings of attacks that others read too: the loss, the seed, and the range of views and light over which an
+"""Settings of attacks that others read too: the loss, the seed, and the range of views, light and cameras over which an
 adversary is to hold. This module does not import torch.
 """
 
@@ -8,12 +8,13 @@ from typing import Annotated, Literal, get_args
 from pydantic import Field, model_validator
 
 from scene_attack.rendering.declaration import Declaration
-from scene_attack.strict import Model
+from scene_attack.rendering.sensor.settings import SensorRange
+from scene_attack.strict import Model, absent
 
 Degrees = Annotated[float, Field(ge=0, le=180, allow_inf_nan=False)]
 Relative = Annotated[float, Field(ge=0, le=0.9, allow_inf_nan=False)]
 VIEWS = ("azimuth", "elevation", "distance", "roll")
-RANGES = (*VIEWS, "intensity", "noise")
+RANGES = (*VIEWS, "intensity")
 
 Loss = Literal["log-odds", "margin", "dlr"]
 LOSSES: tuple[Loss, ...] = get_args(Loss)
@@ -26,9 +27,9 @@ Seed = Annotated[int, Field(ge=0, le=LARGEST_SEED)]
 
 
 class Expectation(Model):
-    """A range of views, light and camera noise over which the adversary is to hold (Athalye et al. 2018). Each step
-    lowers the mean objective over the scene itself and `samples` variations of it, drawn anew. Each range is the
-    half-width of a uniform distribution about the scene's own value, except `noise`.
+    """A range of views, light and cameras over which the adversary is to hold (Athalye et al. 2018). Each step lowers
+    the mean objective over the scene itself and `samples` variations of it, drawn anew. Each range is the half-width of
+    a uniform distribution about the scene's own value; `sensor` has ranges of its own.
     """
 
     azimuth: Degrees = Field(default=0.0, description="of the camera's azimuth, degrees")
@@ -36,8 +37,10 @@ class Expectation(Model):
     roll: Degrees = Field(default=0.0, description="of the camera's roll, degrees")
     distance: Relative = Field(default=0.0, description="of the camera's distance, as a share of it")
     intensity: Relative = Field(default=0.0, description="of the light's intensity, as a share of it")
-    noise: Annotated[float, Field(ge=0, le=32, allow_inf_nan=False)] = Field(
-        default=0.0, description="standard deviation of the camera's noise, of each RGB value, in 1/255"
+    sensor: SensorRange | None = Field(
+        default=None,
+        exclude_if=absent,
+        description="cameras that take the image; {} is a range of ordinary ones, null the image as it is rendered",
     )
     samples: Annotated[int, Field(ge=0, le=64)] = Field(
         default=4,
@@ -51,8 +54,8 @@ class Expectation(Model):
 
     @model_validator(mode="after")
     def _a_range(self) -> "Expectation":
-        if not any(getattr(self, name) for name in RANGES):
-            raise ValueError(f"give a range above 0 to one of {', '.join(RANGES)}")
+        if self.sensor is None and not any(getattr(self, name) for name in RANGES):
+            raise ValueError(f"give a range above 0 to one of {', '.join(RANGES)}, or a `sensor`")
         return self
 
     def check(self, renderer: Declaration, groups: Sequence[str]) -> None:
@@ -65,6 +68,6 @@ class Expectation(Model):
                 "attack groups of the object, or leave the range out"
             )
         for name in RANGES:
-            if getattr(self, name) and name != "noise" and name not in renderer.varies:
-                can = ", ".join([*renderer.varies, "noise"])
+            if getattr(self, name) and name not in renderer.varies:
+                can = ", ".join([*renderer.varies, "sensor"])
                 raise ValueError(f"expectation.{name}: renderer {renderer.name} can draw a range of {can} only")

@@ -34,7 +34,7 @@ from scene_attack.errors import JobFailure, named, summary
 from scene_attack.rendering.color import from_bytes, to_bytes
 from scene_attack.rendering.plan import ImageError
 from scene_attack.rendering.protocol import Parameters, Renderer
-from scene_attack.rendering.variation import Variation, noisy, varied
+from scene_attack.rendering.variation import Variation, taken, varied
 from scene_attack.targets.protocol import Target
 from scene_attack.targets.scores import probability
 
@@ -79,7 +79,7 @@ class Verifier:
         with named(f"renderer {exact.name!r}"):
             images = exact.render(parameters if variation is None else varied(exact, parameters, variation))
         check_images(exact, images, 1)
-        return images[0] if variation is None else noisy(images, variation)[0]
+        return images[0] if variation is None else taken(images, variation)[0]
 
     def image(self, perturbation: Mapping[str, Tensor], variation: Variation | None = None) -> Tensor:
         """The exact image rounded to 8 bits, uint8 [H, W, 3], on the CPU."""

@@ -30,8 +30,10 @@ def campaign_state(state: str) -> Text:
 def results(found: "Table") -> FittedTable:
     """The table of a campaign: a row for each target and attack."""
     columns = ("target", "attack", "ended>", "n>", "success %>", "95 % interval>", "p ×1e-3>", "held within ε>")
-    loop = ("in the loop %>", "p in the loop ×1e-3>", "truncated px>", "failed>", "reused>")
-    spare = ("reused", "held within ε", "truncated px", "failed", "in the loop %", "ended", "n")
+    loop = ("in the loop %>", "p in the loop ×1e-3>", "truncated px>", "survival %>", "failed>", "reused>")
+    spare: tuple[str, ...] = ("reused", "held within ε", "truncated px", "failed", "in the loop %", "ended", "n")
+    if not any(cell.survival for cell in found.cells):
+        spare = ("survival %", *spare)
     return FittedTable((*columns, *loop), [_row(cell) for cell in found.cells], title=found.campaign, spare=spare)
 
 
@@ -50,6 +52,7 @@ def _row(cell: "Cell") -> list[str | Text]:
         _number(cell.loop_success.rate, 100),
         _number(cell.loop_perceptibility, 1000),
         _number(cell.truncated, 1),
+        "" if cell.survival is None else _number(cell.survival.mean, 100),
         str(cell.failed or ""),
         str(cell.reused or ""),
     ]

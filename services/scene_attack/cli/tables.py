@@ -10,6 +10,7 @@ from scene_attack.analysis.records import (
     AdaptiveAttack,
     Analyses,
     Attribution,
+    HeldOver,
     Interpretation,
     MinimalChange,
     Rerendering,
@@ -148,6 +149,8 @@ def _analysis_tables(analyses: Analyses) -> Iterator[FittedTable]:
         yield from _minimal(analyses.minimal)
     if analyses.transfer is not None:
         yield _transfer(analyses.transfer)
+    if analyses.survival is not None:
+        yield _survival(analyses.survival)
     if analyses.interpretation is not None:
         yield _interpretation(analyses.interpretation)
     if analyses.rerendering is not None:
@@ -219,6 +222,14 @@ def _transfer(transfers: Sequence[Transferred]) -> FittedTable:
     ]
     columns = ("target", "renderer", "original", "attacked", "network", "right before", "note")
     return FittedTable(columns, rows, title="Transfer")
+
+
+def _survival(survival: HeldOver) -> FittedTable:
+    low, high = survival.interval or (0.0, 1.0)
+    share = "–" if survival.share is None else f"{100 * survival.share:.0f} % ({100 * low:.0f}–{100 * high:.0f})"
+    row: list[str | Text] = [str(survival.variations), str(survival.right), str(survival.fooled), share]
+    columns = ("cameras>", "right without the perturbation>", "fooled with it>", "survival (95 %)>")
+    return FittedTable(columns, [row], title="Survival before cameras")
 
 
 def _interpretation(interpretation: Interpretation) -> FittedTable:

@@ -289,7 +289,10 @@ class DeclaredRenderer:
 
 RENDERERS: Registry[Declaration] = Registry(
     "renderer",
-    [f"scene_attack.rendering.{name}" for name in ("image", "pyrender.declaration", "torch.declaration")],
+    [
+        f"scene_attack.rendering.{name}"
+        for name in ("image", "pyrender.declaration", "sensor.renderer", "torch.declaration")
+    ],
 )
 
 Class = TypeVar("Class", bound=type[DeclaredRenderer])

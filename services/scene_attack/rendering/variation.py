@@ -1,4 +1,4 @@
-"""A variation of a scene: the same scene from another view, under stronger or weaker light, or with camera noise.
+"""A variation of a scene: the same scene from another view, under stronger or weaker light, or by another camera.
 
 A renderer declares which kinds of variation it can draw, and the group that each moves (`Declaration.varies`), and a
 function that moves the values (`Declaration.varied`). Noise is added to the image of any renderer.
@@ -8,16 +8,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pkgutil import resolve_name
 
-import torch
 from torch import Tensor
 
 from scene_attack.rendering.declaration import RENDERERS
 from scene_attack.rendering.protocol import Parameters, Renderer
+from scene_attack.rendering.sensor.photograph import photographed
+from scene_attack.rendering.sensor.settings import PLAIN, Sensor
 
 
 @dataclass(frozen=True)
 class Variation:
-    """A view, a light and a camera's noise, relative to the scene's own."""
+    """A view, a light and a camera, relative to the scene's own."""
 
     azimuth: float = 0.0
     """Added to the camera's azimuth, radians."""
@@ -29,10 +30,10 @@ class Variation:
     """Factor on its distance."""
     intensity: float = 1.0
     """Factor on all light."""
-    noise: float = 0.0
-    """Standard deviation of the noise of each value of the image, in [0,1]."""
+    sensor: Sensor = PLAIN
+    """How the camera takes the image."""
     seed: int = 0
-    """Seed of the noise."""
+    """Seed of its noise."""
 
 
 STILL = Variation()
@@ -54,7 +55,7 @@ def varied(renderer: Renderer, parameters: Mapping[str, Tensor], variation: Vari
 def moved(renderer: Renderer, parameters: Mapping[str, Tensor], variation: Variation) -> Parameters:
     """Returns the same as `varied`, not clamped to the bounds."""
     declared = RENDERERS[renderer.name]
-    if declared.varied is None or replace(variation, noise=0.0, seed=0) == STILL:
+    if declared.varied is None or replace(variation, sensor=PLAIN, seed=0) == STILL:
         return dict(parameters)
     count, initial = len(next(iter(parameters.values()))), renderer.initial()
     needed = {group for kind, group in declared.varies.items() if getattr(variation, kind) != getattr(STILL, kind)}
@@ -63,10 +64,6 @@ def moved(renderer: Renderer, parameters: Mapping[str, Tensor], variation: Varia
     return values
 
 
-def noisy(images: Tensor, variation: Variation) -> Tensor:
-    """The images [B, H, W, 3] with the variation's noise, the same for all, kept in [0,1]."""
-    if variation.noise == 0:
-        return images
-    random = torch.Generator().manual_seed(variation.seed)
-    noise = variation.noise * torch.randn(images.shape[1:], generator=random, dtype=torch.float64)
-    return (images + noise.to(images)).clamp(0, 1)
+def taken(images: Tensor, variation: Variation) -> Tensor:
+    """The images [B, H, W, 3] in [0,1] as the variation's camera takes them; the noise is the same for all."""
+    return photographed(images, variation.sensor, variation.seed)

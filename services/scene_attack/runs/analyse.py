@@ -13,6 +13,7 @@ from pydantic import BaseModel
 from torch import Tensor
 
 from scene_attack.analysis.attribution import Tick, of_coordinates, of_subsets
+from scene_attack.analysis.expectation import survival
 from scene_attack.analysis.minimal import minimal_change
 from scene_attack.analysis.records import (
     Analyses,
@@ -84,6 +85,11 @@ def analyse(subject: Subject, request: AnalysisRequest, library: Library, report
             report("transfer", number, len(asked))
             is_target = number < len(request.transfer.targets)
             analyses.transfer.append(_to_target(subject, name) if is_target else _to_renderer(subject, name, library))
+    if request.survival is not None and goal.fooled(attacked.logits):
+        tick, seed = partial(report, "survival"), prepared.spec.seed
+        analyses.survival = survival(
+            verifier, goal, prepared.right, original.exact, attacked.exact, request.survival, seed=seed, tick=tick
+        )
     if any((request.interpretation, request.rerendering, request.adaptive)):
         fitting = _fitting(prepared.scene, prepared.spec.tolerance, prepared.target)
         if request.interpretation is not None:

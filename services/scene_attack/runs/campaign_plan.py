@@ -388,6 +388,7 @@ def case_of(planned: Planned, result: Result, *, run_seconds: float | None = Non
         perceptibility=result.p,
         loop_perceptibility=rows[-1].perceptibility if rows else None,
         truncated=result.cost.truncated,
+        survival=None if result.analyses.survival is None else result.analyses.survival.share,
         queries=result.cost.queries,
         seconds=result.cost.seconds,
         run_seconds=run_seconds,

@@ -230,9 +230,8 @@ def _held_over(prepared: Prepared, stored: Parameters, tick: Callable[[int, int]
     asked = prepared.spec.attack.expectation
     if asked is None:
         return None
-    verifier, settled, original = prepared.verifier, prepared.settled, prepared.original
-    right = settled.truth or settled.goal.leave or (int(original.logits.argmax()),)
-    return held_over(verifier, settled.goal, right, stored, asked, seed=prepared.spec.seed, tick=tick)
+    goal, seed = prepared.settled.goal, prepared.spec.seed
+    return held_over(prepared.verifier, goal, prepared.right, stored, asked, seed=seed, tick=tick)
 
 
 def _verdict(

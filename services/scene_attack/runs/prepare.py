@@ -73,6 +73,11 @@ class Prepared:
         return plan if self.constraint is None else self.constraint.in_plan(plan)
 
     @property
+    def right(self) -> tuple[int, ...]:
+        """The labels that count as right: the truth, else those to leave, else the answer to the original image."""
+        return self.settled.truth or self.settled.goal.leave or (int(self.original.logits.argmax()),)
+
+    @property
     def backend(self) -> str:
         """The backends of the exact renderer and of the network, on which the bits of the verdict depend."""
         return f"{self.renderer.exact().backend}; {self.target.backend}"

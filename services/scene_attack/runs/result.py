@@ -231,7 +231,7 @@ class Result(_Record):
     subsets: list[Subset]
     attribution: Attribution = Field(description="Shapley values and interactions of the groups, from `subsets`")
     expectation: HeldOver | None = Field(
-        None, description="the share of the attack's range of views, light and noise for which the adversary holds"
+        None, description="the share of the attack's range of views, light and cameras for which the adversary holds"
     )
     analyses: Analyses = Field(Analyses(), description="the analyses that the request asked for")
     tasks: ResultParts = Field({}, exclude_if=operator.not_, description="what the network's task adds, by its name")

@@ -10,7 +10,8 @@ from scene_attack.attacks.goal import ResolvedGoal
 from scene_attack.attacks.problem import draw_variation
 from scene_attack.attacks.request import Expectation
 from scene_attack.attacks.run import Verifier
-from tests.unit.attacks.small import LinearTarget, Pixels
+from scene_attack.rendering.sensor.photograph import photographed
+from tests.unit.attacks.small import NOISY, LinearTarget, Pixels
 
 
 class Brightness(LinearTarget):
@@ -25,23 +26,22 @@ class Brightness(LinearTarget):
         return 5 * torch.nn.functional.one_hot(level, 3).double()
 
 
-ASKED = Expectation(noise=24, checks=60, samples=1)
+ASKED = Expectation(sensor=NOISY, checks=60, samples=1)
 
 
 @pytest.mark.parametrize(("goal", "wanted"), [(ResolvedGoal((0,), None), (1, 2)), (ResolvedGoal((0,), 2), (2,))])
 def test_only_variations_that_were_right_count(goal: ResolvedGoal, wanted: tuple[int, ...]) -> None:
     renderer = Pixels(dtype=torch.float32)
     middle = float(renderer.base.mean())
-    target = Brightness(middle + 0.004, middle + 0.012)  # the noise of a mean of 60 values is 0.012
+    target = Brightness(middle + 0.004, middle + 0.012)
     moved = torch.full((4, 5, 3), 0.01)
     right = fooled = 0
     for number in range(60):
-        seed = draw_variation(ASKED, 9, "fresh", number).seed
-        drawn = torch.randn(4, 5, 3, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+        variation = draw_variation(ASKED, 9, "fresh", number)
         answers = []
         for perturbation in (0.0, moved):
-            image = ((renderer.base + perturbation + 24 / 255 * drawn).clamp(0, 1) * 255).round() / 255
-            answers.append(int(target.logits(image[None]).argmax()))
+            image = photographed((renderer.base + perturbation).float()[None], variation.sensor, variation.seed)
+            answers.append(int(target.logits((image * 255).round() / 255).argmax()))
         right += answers[0] == 0
         fooled += answers[0] == 0 and answers[1] in wanted
     assert 0 < fooled < right < 60

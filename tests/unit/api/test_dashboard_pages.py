@@ -428,6 +428,15 @@ ANALYSES = {
         }
         for name, right, outcome in (("a", True, "fooled"), ("b", False, "still-wrong"), ("c", None, "changed"))
     ],
+    "survival": {
+        "variations": 64,
+        "right": 50,
+        "fooled": 40,
+        "share": 0.8,
+        "interval": [0.67, 0.887],
+        "wrong_share": 0.22,
+        "wrong_interval": [0.13, 0.33],
+    },
     "interpretation": {
         "image": {"label": "upright", "confidence": 0.5},
         "scene": {"label": "piano", "confidence": 0.9},
@@ -473,6 +482,8 @@ async def test_job_page_shows_the_analyses_that_were_asked_for(record: Record) -
         "a torch piano 90.0 % <desk> 40.0 % fooled",
         "b torch piano 90.0 % <desk> 40.0 % still-wrong",
         "c torch piano 90.0 % <desk> 40.0 % changed truth unknown",
+        "the network is right on 50 photographs of the original; of the attacked image it is fooled on 40 of these: "
+        "the adversary survives 80.0 % (67.0 % to 88.7 %",
         "sgd 1.0e-04 5.000 4.000 piano 80.0 %",
         "fell from 6.000 to 5.000 × 10⁻³",
         "after 10 steps, at p = 25.00 × 10⁻³ as saved, the network says desk 70.0 % of the image",

@@ -16,6 +16,11 @@ from scene_attack.attacks.problem import AttackProblem, Evaluation, differentiat
 from scene_attack.attacks.run import AttackRun, Verifier, run_attack
 from scene_attack.errors import Cancelled
 from scene_attack.rendering.plan import ImageError, Plan
+from scene_attack.rendering.sensor.settings import SensorRange
+
+STILL = dict.fromkeys(("exposure", "white_balance", "defocus", "motion", "iso", "sharpening"), 0.0)
+NOISY = SensorRange.model_validate({**STILL, "resolution": 1.0, "quality": 100, "iso": 102_400})
+"""Cameras whose only fault is noise, in the middle of the range of about 8/255 of each displayed value."""
 
 
 @dataclass

@@ -13,6 +13,7 @@ from scene_attack.attacks.request import Expectation
 from scene_attack.attacks.spsa import draw_directions
 from scene_attack.rendering.protocol import InactiveCoordinate
 from tests.unit.attacks.small import (
+    NOISY,
     Ahead,
     FreeRenderer,
     LinearRenderer,
@@ -165,7 +166,7 @@ def test_the_surrogates_gradient_is_that_of_this_steps_variations_alone() -> Non
             return (InactiveCoordinate("b", 1, "b 1", "hidden"),)
 
     renderer = Hides()
-    expectation = Expectation(noise=8.0, samples=3)
+    expectation = Expectation(sensor=NOISY, samples=3)
     case = problem(renderer, LinearTarget(), expectation=expectation)
     case = replace(case, surrogate=Surrogate(LinearTarget(), ResolvedGoal(case.goal.leave, None)))
     differences = ImageDifferences.at(case, {"a": 1e-3, "b": 1e-3})

@@ -16,13 +16,13 @@ from scene_attack.attacks.problem import AttackProblem, differentiate, draw_vari
 from scene_attack.attacks.request import Expectation
 from scene_attack.attacks.run import AttackRun
 from scene_attack.rendering.factory import build
-from scene_attack.rendering.variation import Variation, noisy
+from scene_attack.rendering.sensor.photograph import photographed
 from scene_attack.scenes.description import Scene
 from scene_attack.scenes.resolve import resolve
-from tests.unit.attacks.small import Ahead, Bowl, FreeRenderer, LinearTarget, Pixels, attack, problem
+from tests.unit.attacks.small import NOISY, Ahead, Bowl, FreeRenderer, LinearTarget, Pixels, attack, problem
 from tests.unit.jobs.small import LIBRARY
 
-NOISE = Expectation(noise=8.0, samples=3)
+NOISE = Expectation(sensor=NOISY, samples=3)
 
 
 def quadratic() -> AttackProblem:
@@ -38,8 +38,8 @@ def leads(case: AttackProblem, at: Tensor) -> Tensor:
     found = [case.target.logits(image)[0, 0]]
     for number in range(NOISE.samples):
         variation = draw_variation(NOISE, 5, "step", 2, number)
-        drawn = torch.randn(4, 5, 3, generator=torch.Generator().manual_seed(variation.seed), dtype=torch.float64)
-        found.append(case.target.logits((image + 8 / 255 * drawn).clamp(0, 1))[0, 0])
+        photograph = photographed(image, variation.sensor, variation.seed)
+        found.append(case.target.logits(photograph)[0, 0])
     return torch.stack(found).mean()
 
 
@@ -76,7 +76,7 @@ def test_the_gradient_is_the_means() -> None:
 
 
 def test_variations_depend_on_seed_and_step_alone_and_fill_the_range() -> None:
-    asked = Expectation(azimuth=10, elevation=4, roll=2, distance=0.2, intensity=0.5, noise=3)
+    asked = Expectation(azimuth=10, elevation=4, roll=2, distance=0.2, intensity=0.5, sensor=NOISY)
     drawn = [draw_variation(asked, 1, "step", step, 0) for step in range(400)]
     assert drawn[7] == draw_variation(asked, 1, "step", 7, 0)
     assert drawn[7] != draw_variation(asked, 1, "fresh", 7)
@@ -123,13 +123,13 @@ def test_every_kind_of_method_averages_and_repeats_itself(name: str) -> None:
 
 
 def test_no_samples_attack_the_scene_alone() -> None:
-    alone, plain = attacked("apgd", Expectation(noise=8.0, samples=0)), attacked("apgd", None)
+    alone, plain = attacked("apgd", Expectation(sensor=NOISY, samples=0)), attacked("apgd", None)
     assert torch.equal(alone.stored["image"], plain.stored["image"])
     assert (alone.trace[-1].queries, alone.trace[-1].share) == (plain.trace[-1].queries, None)
 
 
 def test_backtracking_keeps_to_the_limit_of_the_scene_itself() -> None:
-    """Under noise of 8/255 no image is within p = 0.02 of the original, not even that of no perturbation."""
+    """Under noise no image is within p = 0.02 of the original, not even that of no perturbation."""
     case = problem(Pixels(dtype=torch.float32), expectation=NOISE, perceptibility=0.02)
     whole = torch.full((60,), 0.01)  # p = 0.0173
     [sample, *_] = evaluate(case, whole, 0).samples
@@ -155,7 +155,7 @@ def test_it_stops_only_once_sixteen_variations_are_fooled() -> None:
     variations a step those of two steps must be fooled, and one such step alone ends nothing."""
     renderer = Pixels(dtype=torch.float32)
     start = float(renderer.base.mean())
-    asked = Expectation(noise=24, samples=8)
+    asked = Expectation(sensor=NOISY, samples=8)
     settings = ATTACKS["fgsm"].model_validate(
         {
             "method": "fgsm",
@@ -218,11 +218,3 @@ def test_the_mean_gradient_through_pyrender_is_that_of_the_mean_objective() -> N
     truth = estimate(case, case.nothing, torch.arange(3), steps, 0.0).gradients
     torch.testing.assert_close(found.double(), truth, rtol=0.02, atol=0.02 * float(truth.abs().max()))
     assert float((own.double() - truth).norm() / truth.norm()) > 0.05
-
-
-def test_noise_is_the_same_for_all_images_of_a_batch_and_is_kept_in_range() -> None:
-    images = torch.full((2, 8, 8, 3), 0.5)
-    found = noisy(images, Variation(noise=0.1, seed=4))
-    assert torch.equal(found[0], found[1])
-    assert float((found - 0.5).std()) == pytest.approx(0.1, rel=0.2)  # of 192 values: 4 standard errors
-    assert float(noisy(images, Variation(noise=5.0, seed=4)).min()) == 0.0

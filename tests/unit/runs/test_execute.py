@@ -35,7 +35,7 @@ ATTACKS: list[dict[str, Any]] = [
     {
         "renderer": "torch",
         "groups": ["normals"],
-        "expectation": {"intensity": 0.3, "noise": 2, "samples": 2, "checks": 6},
+        "expectation": {"intensity": 0.3, "sensor": {"defocus": 0.5}, "samples": 2, "checks": 6},
     },
 ]
 

@@ -20,7 +20,7 @@ const TITLES = { scene: "Camera, lights, floor, shadows, background", "scene.obj
 const LEGENDS = {
   target: "target: the network",
   attack: "attack: what may change, and how",
-  expectation: "expectation: views and light over which it should hold",
+  expectation: "expectation: views, light and cameras over which it should hold",
 };
 // The camera's settings that stand beside the preview, where it is turned.
 const ORBIT = ["azimuth", "elevation", "distance"];
@@ -41,7 +41,6 @@ const SLIDERS = {
   "attack.expectation.roll": { low: 0, high: 180, unit: "± °", of: 1, hint: "of the camera's roll" },
   "attack.expectation.distance": { low: 0, high: 90, unit: "± %", of: 0.01, hint: "of the camera's distance" },
   "attack.expectation.intensity": { low: 0, high: 90, unit: "± %", of: 0.01, hint: "of the light's intensity" },
-  "attack.expectation.noise": { low: 0, high: 32, step: 0.5, unit: "/ 255", of: 1 },
 };
 
 const words = (name) => name.replaceAll("_", " ");
@@ -193,7 +192,7 @@ export class Fields {
   // The first value of an optional object: an expectation over nothing would be refused.
   start(name) {
     if (name !== "expectation") return {};
-    return this.renderer?.varies.includes("azimuth") ? { azimuth: 30 } : { noise: 4 };
+    return this.renderer?.varies.includes("azimuth") ? { azimuth: 30 } : { sensor: {} };
   }
 
   list(name, schema, path) {

@@ -33,6 +33,7 @@ def analyse(
     renderer: Annotated[
         list[str] | None, typer.Option(metavar="NAME", help="Draw the changed scene with this renderer; repeatable.")
     ] = None,
+    survival: Annotated[bool, typer.Option("--survival", help="Have 64 ordinary cameras take the image.")] = False,
     interpret: Annotated[bool, typer.Option("--interpret", help="Fit physical parameters to the image.")] = False,
     defend: Annotated[bool, typer.Option("--rerender", help="The re-rendering defence.")] = False,
     adaptive: Annotated[bool, typer.Option("--adaptive", help="Attack the pixels through that defence.")] = False,
@@ -52,6 +53,7 @@ def analyse(
         "minimal": {} if minimal else None,
         "coordinates": {"images": images} if coordinates else None,
         "transfer": {"targets": transfer or [], "renderers": renderer or []} if transfer or renderer else None,
+        "survival": {} if survival else None,
         "interpretation": {"steps": steps} if interpret else None,
         "rerendering": {"steps": steps} if defend else None,
         "adaptive": {} if adaptive else None,
