@@ -10,12 +10,22 @@ from collections.abc import Callable, Iterable, Mapping
 from math import isfinite, sqrt
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, TypeVar, get_args, get_origin
 
-from pydantic import Field, ModelWrapValidatorHandler, ValidationInfo, field_validator, model_validator
+from pydantic import (
+    Field,
+    GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
+    ModelWrapValidatorHandler,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import CoreSchema, core_schema
 
 from scene_attack.attacks.request import Expectation, Loss
 from scene_attack.plugins import Registry
 from scene_attack.rendering.declaration import MAX_STEP, RENDERERS, SHORTEST_WAVE, Group
-from scene_attack.strict import Model, Several
+from scene_attack.strict import Model, Several, absent, schema_of
 from scene_attack.text import there_are
 
 if TYPE_CHECKING:
@@ -44,6 +54,30 @@ def renderer_names(schema: dict[str, Any]) -> None:
 
 def _base_renderer_names(schema: dict[str, Any]) -> None:
     schema["anyOf"][0]["enum"] = _base_renderers()
+
+
+class _OfTheRenderer:
+    """Validates settings by the model that the renderer declares, which an earlier field of the attack names."""
+
+    @staticmethod
+    def __get_pydantic_core_schema__(_source: object, _handler: GetCoreSchemaHandler) -> CoreSchema:
+        def validate(data: object, info: ValidationInfo) -> Model | None:
+            renderer = RENDERERS.get(info.data.get("renderer", ""))  # it may be refused itself
+            if data is None or renderer is None:
+                return None
+            if renderer.settings is None:
+                raise ValueError(f"renderer {renderer.name} has no settings of its own; leave this out")
+            return renderer.settings.model_validate(data, context=info.context)  # its errors become those of the field
+
+        return core_schema.with_info_plain_validator_function(validate)
+
+    @staticmethod
+    def __get_pydantic_json_schema__(_schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        models = [renderer.settings for renderer in RENDERERS.values() if renderer.settings is not None]
+        return schema_of(list(dict.fromkeys(models)), handler)
+
+
+AnySettings = Annotated[Any, _OfTheRenderer]
 
 
 class Attack(Model):
@@ -107,6 +141,11 @@ class Attack(Model):
         description="for a renderer that changes another renderer's image, as `image` does: the renderer of that "
         "image; default torch",
         json_schema_extra=_base_renderer_names,
+    )
+    renderer_settings: AnySettings = Field(
+        default=None,
+        exclude_if=absent,
+        description="settings that the renderer itself has; default: that of each setting, or null if it has none",
     )
     queries: Annotated[int, Field(ge=1, le=10_000_000)] | None = Field(
         default=None, description="limit of network queries, after which the attack stops"
@@ -316,6 +355,8 @@ def _completed(settings: type[Attack], fields: dict[str, Any]) -> dict[str, Any]
         data["groups"] = sorted(asked, key=renderer.group_names.index) or renderer.default_groups
     if data.get("base_renderer") is None:
         data["base_renderer"] = renderer.base_renderer
+    if renderer.settings is not None and data.get("renderer_settings") is None:
+        data["renderer_settings"] = {}
     return suggested(data, "epsilon", lambda group: group.suggested_limit if group.natural_range else None)
 
 

@@ -11,6 +11,7 @@ from itertools import product
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from scene_attack.plugins import Registry
+from scene_attack.strict import Model
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -173,6 +174,12 @@ class Declaration:
     varied: str | None = None
     """The location "module:function" of a function (renderer, values by group, variation) that returns the values with
     those groups moved. None: it can draw none."""
+    settings: type[Model] | None = None
+    """What a request may set of the renderer's own, as `attack.renderer_settings`; every field has a default. None:
+    nothing."""
+    requires: Callable[[str], None] | None = None
+    """Raises MissingExtra with the field that it is given where a package that the renderer needs is not installed.
+    None: a plain installation has all."""
 
     def __post_init__(self) -> None:
         if not self.groups:
@@ -222,6 +229,8 @@ class BuildRequest:
     """The exact renderer of the attacked image, for a renderer with a `base_renderer`; None for others."""
     wavelength: float = SHORTEST_WAVE
     """The shortest of groups with `waves`, in sizes of an object."""
+    settings: Any = None
+    """The renderer's own settings, of the model that it declares; None for a renderer that declares none."""
 
     def base_image(self) -> "Tensor":
         """Renders the base renderer's image, rounded to 8 bits: float32 [H, W, 3], multiples of 1/255."""

@@ -10,6 +10,7 @@ from scene_attack.rendering.declaration import RENDERERS, SHORTEST_WAVE, BuildRe
 from scene_attack.rendering.plan import DEFAULT_TOLERANCE, Tolerance
 from scene_attack.rendering.protocol import BOUND_SLACK, Renderer
 from scene_attack.scenes.resolve import ResolvedScene
+from scene_attack.strict import Model
 
 
 def build(
@@ -19,25 +20,32 @@ def build(
     groups: Sequence[str] | None = None,
     tolerance: Tolerance = DEFAULT_TOLERANCE,
     wavelength: float = SHORTEST_WAVE,
+    settings: Model | None = None,
 ) -> Renderer:
     """Builds a registered renderer for attacks on `groups` (None: its default groups) within `tolerance`, where the
-    waves of groups on a lattice are at least `wavelength` long, in sizes of an object.
+    waves of groups on a lattice are at least `wavelength` long, in sizes of an object. `settings` are the renderer's
+    own (None: their defaults).
 
     `base_renderer` names the renderer that makes the image to be attacked, for a renderer that declares a base renderer
     (None: the declared name).
 
-    Raises InvalidRequest("attack.renderer") for an unknown name, JobFailure("internal") for a renderer that cannot be
+    Raises InvalidRequest("attack.renderer") for an unknown name, and for a renderer that needs a package which is not
+    installed; JobFailure("internal") for a renderer that cannot be
     built, or whose groups are not those it declares.
     """
     declaration = RENDERERS.get(renderer)
     if declaration is None:
         raise InvalidRequest("attack.renderer", f"there is no renderer {renderer!r}; there are {', '.join(RENDERERS)}")
+    if declaration.requires is not None:
+        declaration.requires("attack.renderer")
+    if declaration.settings is not None:
+        settings = settings or declaration.settings()
     base = None
     if declaration.base_renderer is not None:
         base = build(scene, base_renderer or declaration.base_renderer, tolerance="exact")
     with named(f"renderer {renderer!r}"):
         built: Renderer = _class(declaration).build(
-            BuildRequest(scene, tuple(groups or declaration.default_groups), tolerance, base, wavelength)
+            BuildRequest(scene, tuple(groups or declaration.default_groups), tolerance, base, wavelength, settings)
         )
         if broken := _broken(declaration, built):
             raise JobFailure("internal", f"renderer {renderer!r} {broken}")

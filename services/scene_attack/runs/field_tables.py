@@ -50,6 +50,8 @@ def page() -> str:
             lines += _of_plugins("target.ask", "of a network whose task is", asks, shown)
         if path == "goal":
             lines += _attacks()
+            own = {name: has.settings for name, has in RENDERERS.items() if has.settings is not None}
+            lines += _of_plugins("attack.renderer_settings", "of the renderer", own, shown)
     lines += ["## Renderers and their parameter groups", "", GROUPS, ""]
     columns = ("renderer", "method", "group", "shape", "unit", "step of fgsm", "limit", "natural range")
     lines += _table(columns, _groups())

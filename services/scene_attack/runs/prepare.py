@@ -139,7 +139,7 @@ def _prepare(spec: JobSpec, library: Library, tolerance: Tolerance) -> Prepared:
     wrong: list[InvalidRequest] = []  # all that can be known before anything is rendered
     with _collected(wrong):
         asked = asked_goal(spec.goal, card, labels)
-    for check in (check_analysis, check_surrogate, _check_gradient, _check_materials):
+    for check in (_check_installed, check_analysis, check_surrogate, _check_gradient, _check_materials):
         with _collected(wrong):
             check(spec)
     if wrong:
@@ -251,6 +251,18 @@ def check_analysis(spec: JobSpec) -> None:
                 f"nothing of {attacked} ({spec.attack.renderer}) is a part of the scene that {name} draws; colours, "
                 "poses and the camera of pyrender are",
             )
+
+
+def _check_installed(spec: JobSpec) -> None:
+    """Raises MissingExtra naming the field, for a renderer that needs a package which is not installed: of the attack,
+    of its image, or of the analyses, which would lose the finished attack."""
+    asked = {"attack.renderer": spec.attack.renderer, "attack.base_renderer": spec.attack.base_renderer}
+    if spec.analysis.transfer is not None:
+        asked |= {f"analysis.transfer.renderers.{k}": name for k, name in enumerate(spec.analysis.transfer.renderers)}
+    for field, name in asked.items():
+        declared = None if name is None else RENDERERS.get(name)
+        if declared is not None and declared.requires is not None:
+            declared.requires(field)
 
 
 def check_surrogate(spec: JobSpec) -> None:
@@ -379,6 +391,7 @@ def _renderer(spec: JobSpec, scene: ResolvedScene, tolerance: Tolerance) -> Rend
         moving_groups(attack),
         tolerance,
         attack.wavelength or SHORTEST_WAVE,
+        attack.renderer_settings,
     )
 
 
@@ -417,7 +430,13 @@ def _exact_image(spec: JobSpec, scene: ResolvedScene, verifier: Verifier) -> Ten
 def _drawn_by(spec: JobSpec) -> tuple[Hashable, ...]:
     """Returns the choices on which an exact image depends besides the scene."""
     attack = spec.attack
-    return attack.renderer, attack.base_renderer, tuple(moving_groups(attack)), spec.tolerance
+    return (
+        attack.renderer,
+        attack.renderer_settings,
+        attack.base_renderer,
+        tuple(moving_groups(attack)),
+        spec.tolerance,
+    )
 
 
 MAX_KEPT_SCENES = 8
