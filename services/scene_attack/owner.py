@@ -70,5 +70,10 @@ class Owned:
         """The renderer without approximations."""
         return Owned(run(lambda _: self._renderer.exact()), {**self.request, "tolerance": "exact"})
 
+    def reseeded(self, number: int) -> "Owned | None":
+        """The renderer with other random numbers; None if its images have no noise."""
+        other = self._renderer.reseeded(number)
+        return None if other is None else Owned(other, self.request)
+
     def __getattr__(self, name: str) -> Any:
         return getattr(self._renderer, name)

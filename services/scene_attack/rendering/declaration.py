@@ -289,6 +289,10 @@ class DeclaredRenderer:
         """Returns no coordinate: nothing is proved."""
         return ()
 
+    def reseeded(self, number: int) -> "Renderer | None":  # noqa: ARG002 - the protocol's
+        """Returns None: the images have no noise."""
+        return None
+
     @property
     def sampled_error(self) -> "ImageError | None":
         """The largest error of those of the images rendered so far that were also rendered exactly; None for a renderer

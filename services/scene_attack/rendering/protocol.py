@@ -106,3 +106,9 @@ class Renderer(Protocol):
         It takes no shortcut and computes in float64 where that matters. It may be the renderer itself.
         """
         ...
+
+    def reseeded(self, number: int) -> "Renderer | None":
+        """Returns the same renderer with other random numbers, those of `number` from 1; None if its images have no
+        noise.
+        """
+        ...

@@ -28,6 +28,7 @@ from scene_attack.attacks.trace import TraceRow
 from scene_attack.errors import Cancelled
 from scene_attack.plugins import loaded_plugins
 from scene_attack.process import versions
+from scene_attack.rendering.color import to_bytes
 from scene_attack.rendering.declaration import RENDERERS
 from scene_attack.rendering.physical_change import Change, change_images, changes_in_words
 from scene_attack.rendering.plan import Plan
@@ -44,6 +45,7 @@ from scene_attack.runs.result import (
     JobVerdict,
     JobWarning,
     Measured,
+    Noise,
     Provenance,
     Result,
     StoredChange,
@@ -241,18 +243,34 @@ def _verdict(
     settled, original, labels = prepared.settled, prepared.original, prepared.target.labels
     goal, first = settled.goal, int(original.logits.argmax())
     outcome, part = prepared.task.judge(settled, prepared.renderer.name, run.stored, original, attacked, out)
+    noise = _noise(prepared, run.stored)
+    verified = bool(goal.fooled(attacked.logits)) and (noise is None or noise.share == 1)
+    if not verified and outcome in ("fooled", "changed"):  # under its own seed alone
+        outcome = "held"
     verdict = JobVerdict(
         outcome=outcome,
         truth=[labels[i] for i in settled.truth],
         right_before=first in settled.truth if settled.truth else None,
         fooled=run.fooled,
-        verified=bool(goal.fooled(attacked.logits)),
+        verified=verified,
         stopped=run.stopped,
         leave=labels[first] if first in goal.leave else None,
         labels_to_leave=[labels[i] for i in goal.leave],
         reach=None if goal.reach is None else labels[goal.reach],
+        noise=noise,
     )
     return verdict, part
+
+
+def _noise(prepared: Prepared, stored: Parameters) -> Noise | None:
+    """The verdict under other seeds, where the renderer's images have noise."""
+    goal, verifier = prepared.settled.goal, prepared.verifier
+    images = list(verifier.reseeded(stored))
+    if not images:
+        return None
+    met = [bool(goal.fooled(verifier.logits(to_bytes(image)))) for image in images]
+    deviation = torch.stack(images).double().std(dim=0)
+    return Noise(seeds=len(met), share=sum(met) / len(met), standard_error=float(deviation.square().mean().sqrt()))
 
 
 def _stored_change(prepared: Prepared, run: AttackRun, attacked: ScoredImage) -> StoredChange:
@@ -353,7 +371,7 @@ def best_so_far(spec: JobSpec, path: Path, out: Path, library: Library) -> BestS
         step=checkpoint.stored_step,
         steps=checkpoint.step,
         queries=checkpoint.queries,
-        verified=bool(goal.fooled(attacked.logits)),
+        verified=bool(goal.fooled(attacked.logits)) and prepared.verifier.holds(stored, goal),
         original=answer(original.logits, labels, goal),
         attacked=answer(attacked.logits, labels, goal),
         float_perceptibility=of_float_images(original.exact, attacked.exact),

@@ -107,7 +107,7 @@ def replay(directory: Path, library: Library, limits: Options = DEFAULTS) -> Rep
         raise InvalidRequest("directory", "its image has another size than the camera of its request")
     logits, labels, goal = prepared.verifier.logits(image), prepared.target.labels, prepared.settled.goal
     original, attacked = (answer(scores, labels, goal) for scores in (prepared.original.logits, logits))
-    fooled = bool(goal.fooled(logits))
+    fooled = bool(goal.fooled(logits)) and prepared.verifier.holds(perturbation, goal)
     agrees = {
         ORIGINAL: torch.equal(prepared.original.saved, kept.original),
         ATTACKED: torch.equal(image, kept.attacked),

@@ -17,6 +17,7 @@ from scene_attack.rendering.physical_change import Change
 from scene_attack.rendering.plan import ImageError, Plan
 from scene_attack.runs.spec import JobSpec
 from scene_attack.runs.task_parts import PlanParts, ResultPart, ResultParts
+from scene_attack.strict import absent
 
 LOW_CONFIDENCE = 0.5
 """Confidence of the first answer below which a job is warned of it: all other labels together are as probable."""
@@ -140,12 +141,32 @@ class AtEpsilon(_Record):
     share: float = Field(description="their share of the group's values")
 
 
+class Noise(_Record):
+    """How the verdict holds under other random numbers of a renderer whose images have noise."""
+
+    seeds: int = Field(description="number of other seeds under which the exact image was drawn")
+    share: float = Field(description="share of them under which the network's answer meets the goal; 1: all")
+    standard_error: float = Field(
+        description="of a displayed value of the exact image, in [0,1]: its standard deviation over the other seeds, "
+        "the root of the mean square over the image"
+    )
+
+    @property
+    def sentence(self) -> str:
+        """The share and the standard error in words."""
+        return (
+            f"Drawn with {self.seeds} other seeds it meets the goal under {100 * self.share:.0f} %; the standard error "
+            f"of a displayed value is {255 * self.standard_error:.2f}/255."
+        )
+
+
 class JobVerdict(_Record):
     """The goal as it was settled, and whether the attack met it.
 
     fooled: the network's answer to the loop's image, truncated and rounded to 8 bits, met the goal. verified: its
-    answer to the stored perturbation, rendered afresh by the exact path and rounded to 8 bits, meets the goal too. Only
-    a verified perturbation is called an adversary, and only the outcome "fooled" counts as a success.
+    answer to the stored perturbation, rendered afresh by the exact path and rounded to 8 bits, meets the goal too, and
+    where images have noise it does so under every seed of `noise`. Only a verified perturbation is called an adversary,
+    and only the outcome "fooled" counts as a success.
     """
 
     outcome: Verdict = Field(
@@ -167,6 +188,9 @@ class JobVerdict(_Record):
         default_factory=list, description="all labels that count as that answer: the truth, or those that mean the same"
     )
     reach: str | None
+    noise: Noise | None = Field(
+        None, exclude_if=absent, description="where the renderer's images have noise: the verdict under other seeds"
+    )
 
 
 class StoredChange(_Record):
@@ -255,9 +279,10 @@ class Result(_Record):
 
     @property
     def findings(self) -> list[str]:
-        """What the attack did to each thing in the scene, and for how much of its range that holds, as sentences."""
+        """What the attack did to each thing in the scene, and for how much of its range and of the noise that holds, as
+        sentences."""
         things = [f"{thing.subject}: {thing.sentence}" for thing in self.change.things]
-        return things if self.expectation is None else [*things, self.expectation.sentence]
+        return [*things, *(about.sentence for about in (self.expectation, self.verdict.noise) if about is not None)]
 
 
 class Outcome(BaseModel):

@@ -71,6 +71,9 @@ class LinearRenderer:
     def exact(self) -> "LinearRenderer":
         return self
 
+    def reseeded(self, number: int) -> None:
+        return None
+
 
 class CurvedRenderer(LinearRenderer):
     """A smooth, curved function of its parameters, within [0,1] wherever they are."""

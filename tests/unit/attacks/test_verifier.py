@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from scene_attack.attacks.goal import ResolvedGoal
-from scene_attack.attacks.run import Verifier
+from scene_attack.attacks.run import SEEDS, Verifier
 from tests.unit.attacks.small import LinearRenderer
 
 
@@ -56,3 +56,23 @@ def test_the_exact_renderer_decides_and_not_the_loop_s() -> None:
     dark, bright = Level(value=0.4), Level(value=0.6)
     assert not Verifier(Level(value=0.6, twin=dark), target).fooled(NOTHING, LEAVE)
     assert Verifier(Level(value=0.4, twin=bright), target).fooled(NOTHING, LEAVE)
+
+
+@dataclass
+class Grainy(Level):
+    """A level with noise: under other seeds it has other values."""
+
+    others: tuple[float, ...] = ()
+
+    def reseeded(self, number: int) -> "Grainy":  # type: ignore[override]
+        return Grainy(value=self.others[number - 1])
+
+
+def test_an_image_with_noise_fools_only_under_all_seeds() -> None:
+    target = Threshold(0.5)
+    assert Verifier(Grainy(value=0.6, others=(0.6,) * SEEDS), target).fooled(NOTHING, LEAVE)
+    assert len(target.seen) == 1 + SEEDS
+    lucky = Verifier(Grainy(value=0.6, others=(0.6, 0.4) + (0.6,) * (SEEDS - 2)), target)
+    assert not lucky.fooled(NOTHING, LEAVE)
+    assert (lucky.counts.renders, lucky.counts.queries) == (3, 3), "the first that holds ends the look"
+    assert not Verifier(Grainy(value=0.4, others=(0.6,) * SEEDS), target).fooled(NOTHING, LEAVE)
