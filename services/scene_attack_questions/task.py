@@ -103,7 +103,7 @@ def task_of(spec: JobSpec, network: Target, asked: AskedGoal) -> Task:
 
 def check_analysis(spec: JobSpec) -> None:
     """Raises InvalidRequest for an analysis that asks one question, where there are several."""
-    for name in ("transfer", "interpretation", "rerendering", "adaptive"):
+    for name in ("transfer", "second_opinion", "survival", "interpretation", "rerendering", "adaptive"):
         if getattr(spec.analysis, name) is not None:
             raise InvalidRequest(f"analysis.{name}", "it asks one question, and there are several; leave it out")
 

@@ -153,7 +153,7 @@ def alone(reader: Reader) -> None:
     assert "Subsets" in run("scene-attack analyse out/combined --minimal")
     reader.command("scene-attack run poses.json --out out/poses")
     reader.command("scene-attack run examples/image-fgsm.json --out out/image")
-    run("scene-attack analyse out/poses --coordinates --transfer efficientnet-lite0 --renderer torch")
+    run("scene-attack analyse out/poses --coordinates --transfer efficientnet-lite0 --second-opinion torch")
     run("scene-attack rerender out/image/attacked.png examples/image-fgsm.json --out rendered.png")
     run("scene-attack export out/combined --out out/combined-export")
     assert (reader.folder / "out/combined-export/scene_after.glb").is_file()

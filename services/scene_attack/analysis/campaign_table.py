@@ -8,6 +8,7 @@ The end of the file writes a campaign as text: its table and its cases as CSV, a
 
 import csv
 import io
+import operator
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -17,7 +18,7 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from scene_attack.analysis.verdict import NORMAL_95, wilson
+from scene_attack.analysis.verdict import NORMAL_95, SUCCESS, Verdict, wilson
 from scene_attack.strict import absent
 
 
@@ -49,6 +50,11 @@ class Case(_Record):
         None,
         exclude_if=absent,
         description="share of cameras before which the verified adversary fools; null if that was not asked for",
+    )
+    second_opinion: dict[str, Verdict] = Field(
+        {},
+        exclude_if=operator.not_,
+        description="what the stored perturbation came to when other renderers drew it, by renderer",
     )
     queries: int | None = None
     seconds: float | None = Field(None, description="run time of the attack")
@@ -125,6 +131,12 @@ class Cell(_Record):
         exclude_if=absent,
         description="mean share of cameras before which the verified adversaries fool; null if none was asked for",
     )
+    second_opinion: dict[str, Rate] = Field(
+        {},
+        exclude_if=operator.not_,
+        description="by renderer the verified adversaries that still fool when it draws them, of those whose scene "
+        "before the network has right there too",
+    )
     by_queries: Corners = Field(description="successes against queries, among `success.of` cases")
     by_seconds: Corners = Field(description="successes against seconds, among `success.of` cases")
     by_p: Corners = Field([], description="successes against p of the exact image, among `success.of` cases")
@@ -182,12 +194,25 @@ def _cell(target: str, attack: str, jobs: int, own: Sequence[Case]) -> Cell:
         loop_perceptibility=mean([case.loop_perceptibility for case in in_loop]),
         truncated=mean([case.truncated for case in counted]),
         survival=Mean.of_shares([case.survival for case in won if case.survival is not None]),
+        second_opinion={
+            name: Rate.of_cases(words.count(SUCCESS), words.count(SUCCESS) + words.count("held"))
+            for name, words in _opinions(won).items()
+        },
         by_queries=corners([case.queries for case in won]),
         by_seconds=corners([case.seconds for case in won]),
         by_p=corners([case.perceptibility for case in won]),
         most_queries=max((case.queries for case in counted if case.queries is not None), default=None),
         most_seconds=max((case.seconds for case in counted if case.seconds is not None), default=None),
     )
+
+
+def _opinions(cases: Sequence[Case]) -> dict[str, list[Verdict]]:
+    """What the cases came to, by each renderer that was asked."""
+    words: dict[str, list[Verdict]] = defaultdict(list)
+    for case in cases:
+        for name, word in case.second_opinion.items():
+            words[name].append(word)
+    return dict(sorted(words.items()))
 
 
 def mean(values: Sequence[float | None]) -> float | None:
@@ -418,7 +443,7 @@ def part_means(attributions: Sequence[tuple[str, str, Mapping[str, Any]]]) -> li
 COUNTS = ("jobs", "ended", "failed", "cancelled", "reused", "held_within_epsilon")
 RATES = ("success", "loop_success")
 OUTCOMES = ("fooled", "changed", "became-right", "still-wrong", "held")
-_OF_CASE = tuple(name for name in Case.model_fields if name not in ("target", "attack"))
+_OF_CASE = tuple(name for name in Case.model_fields if name not in ("target", "attack", "second_opinion"))
 _TEX = {
     "\\": r"\textbackslash{}",
     "~": r"\textasciitilde{}",
@@ -431,6 +456,7 @@ def to_csv(table: Table) -> str:
     """One line for each target and attack; rates and their intervals in [0,1], p in full range; empty where unknown."""
     rates = [f"{name}_{part}" for name in RATES for part in Rate.model_fields]
     means = ("perceptibility", "loop_perceptibility", "truncated")
+    renderers = list(dict.fromkeys(name for cell in table.cells for name in cell.second_opinion))
     rows = [
         [
             *(table.campaign, cell.target, cell.attack),
@@ -439,11 +465,14 @@ def to_csv(table: Table) -> str:
             *(value for name in RATES for _, value in getattr(cell, name)),
             *(getattr(cell, name) for name in means),
             *(None if cell.survival is None else getattr(cell.survival, name) for name in Mean.model_fields),
+            *(value for name in renderers for _, value in cell.second_opinion.get(name, Rate.of_cases(0, 0))),
         ]
         for cell in table.cells
     ]
     survival = [f"survival_{part}" for part in Mean.model_fields]
-    return _csv(["campaign", "target", "attack", *COUNTS, *OUTCOMES, *rates, *means, *survival], rows)
+    opinions = [f"second_opinion_{name}_{part}" for name in renderers for part in Rate.model_fields]
+    columns = ["campaign", "target", "attack", *COUNTS, *OUTCOMES, *rates, *means, *survival, *opinions]
+    return _csv(columns, rows)
 
 
 def cases_to_csv(cases: Sequence[CaseRow]) -> str:
@@ -453,10 +482,11 @@ def cases_to_csv(cases: Sequence[CaseRow]) -> str:
             *(row.number, row.job),
             *(row.fields[name] for name in CASE_FIELDS),
             *(getattr(row.case, name) for name in _OF_CASE),
+            "; ".join(f"{renderer}: {word}" for renderer, word in row.case.second_opinion.items()),
         ]
         for row in cases
     ]
-    return _csv(["number", "job", *(name.replace(" ", "_") for name in CASE_FIELDS), *_OF_CASE], rows)
+    return _csv(["number", "job", *(name.replace(" ", "_") for name in CASE_FIELDS), *_OF_CASE, "second_opinion"], rows)
 
 
 def _csv(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> str:

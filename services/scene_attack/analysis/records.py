@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field
 
 from scene_attack.analysis.verdict import Verdict, wilson
 from scene_attack.rendering.physical_change import PhysicalChange
@@ -45,20 +45,20 @@ class MinimalRequest(Model):
 
 
 class TransferRequest(Model):
-    """The stored perturbation before other networks, and in the other renderer."""
+    """The stored perturbation's image before other networks."""
 
-    targets: Annotated[tuple[Annotated[Name, reference("target")], ...], Field(max_length=16)] = Field(
-        (), description="targets to show the image to"
-    )
-    renderers: Annotated[tuple[Name, ...], Field(max_length=4)] = Field(
-        (), description="renderers to draw the changed scene with, as far as the perturbation changes the scene itself"
+    targets: Annotated[tuple[Annotated[Name, reference("target")], ...], Field(min_length=1, max_length=16)] = Field(
+        description="targets to show the image to"
     )
 
-    @model_validator(mode="after")
-    def _something(self) -> "TransferRequest":
-        if not self.targets and not self.renderers:
-            raise ValueError("name a target in `targets` or a renderer in `renderers`")
-        return self
+
+class SecondOpinionRequest(Model):
+    """The changed scene, drawn by other renderers."""
+
+    renderers: Annotated[tuple[Name, ...], Field(min_length=1, max_length=4)] = Field(
+        description="renderers to draw the scene with, before and after, as far as the perturbation changes what they "
+        "have"
+    )
 
 
 class InterpretationRequest(Model):
@@ -97,7 +97,8 @@ class AnalysisRequest(Model):
 
     coordinates: CoordinatesRequest | None = Field(None, description="Shapley values of single coordinates")
     minimal: MinimalRequest | None = Field(None, description="the smallest scale that still fools")
-    transfer: TransferRequest | None = Field(None, description="other targets and renderers")
+    transfer: TransferRequest | None = Field(None, description="other targets")
+    second_opinion: SecondOpinionRequest | None = Field(None, exclude_if=absent, description="other renderers")
     survival: SurvivalRequest | None = Field(
         None, exclude_if=absent, description="the share of cameras before which a verified adversary still fools"
     )
@@ -204,14 +205,33 @@ class Transferred(Record):
     """Answers of a network, asked in transfer, to the original and to the attacked image."""
 
     target: str
-    renderer: str = Field(description="the renderer that made both images")
     before: Said
     after: Said
     outcome: Verdict = Field(description="what it came to, judged as for a job; only `fooled` counts as a success")
     right_before: bool | None = Field(
         description="whether the answer to the original was right; null if nobody knows what is right for this network"
     )
-    note: str = Field("", description="what of the perturbation the images show, if not all of it")
+
+
+class SecondOpinion(Record):
+    """The network's answers when another renderer draws the scene before and after."""
+
+    renderer: str
+    before: Said | None = None
+    after: Said | None = None
+    outcome: Verdict | None = Field(
+        None, description="what it came to, judged as for a job; the adversary survives if it is `fooled`"
+    )
+    right_before: bool | None = Field(
+        None, description="whether the answer to the scene before was right; null if nobody knows"
+    )
+    share: float | None = Field(
+        None,
+        description="share of other seeds under which the goal is met too; null where the images have no noise. The "
+        "outcome is `held` unless it is 1",
+    )
+    note: str = Field("", description="what of the perturbation the images do not show, if they do not show all of it")
+    failure: str | None = Field(None, description="why there is no opinion, if the renderer failed")
 
 
 class Explanation(Record):
@@ -313,6 +333,7 @@ class Analyses(Record):
     coordinates: Attribution | None = None
     minimal: MinimalChange | None = None
     transfer: list[Transferred] | None = None
+    second_opinion: list[SecondOpinion] | None = Field(None, exclude_if=absent)
     survival: HeldOver | None = Field(
         None,
         exclude_if=absent,

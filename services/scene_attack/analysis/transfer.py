@@ -42,9 +42,7 @@ def indices(names: Collection[str], labels: Sequence[str]) -> frozenset[int]:
     return frozenset(index for index, label in enumerate(labels) if label in names)
 
 
-def shown_to(
-    verifier: Verifier, wanted: Wanted, original: Tensor, attacked: Tensor, renderer: str, note: str = ""
-) -> Transferred:
+def shown_to(verifier: Verifier, wanted: Wanted, original: Tensor, attacked: Tensor) -> Transferred:
     """The answers of the verifier's network to two images, uint8 [H, W, 3], and what they amount to.
 
     The outcome is judged as a job's is: only a network that was right about the original can be fooled.
@@ -55,10 +53,8 @@ def shown_to(
     met = bool(wanted.goal(first).fooled(after))
     return Transferred(
         target=verifier.target.name,
-        renderer=renderer,
         before=said(before, labels),
         after=said(after, labels),
         outcome=judge(wanted.truth, first, last, met),
         right_before=first in wanted.truth if wanted.truth else None,
-        note=note,
     )

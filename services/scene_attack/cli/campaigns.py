@@ -13,7 +13,7 @@ from scene_attack.cli.progress import LOG_EVERY, ProgressLine
 from scene_attack.errors import InvalidRequest
 
 if TYPE_CHECKING:
-    from scene_attack.analysis.campaign_table import Cell, Table
+    from scene_attack.analysis.campaign_table import Cell, Rate, Table
     from scene_attack.client.client import Client
     from scene_attack.client.schemas import CampaignJobView
     from scene_attack.runs.campaign_run import CampaignProgress
@@ -31,10 +31,21 @@ def results(found: "Table") -> FittedTable:
     """The table of a campaign: a row for each target and attack."""
     columns = ("target", "attack", "ended>", "n>", "success %>", "95 % interval>", "p ×1e-3>", "held within ε>")
     loop = ("in the loop %>", "p in the loop ×1e-3>", "truncated px>", "survival %>", "failed>", "reused>")
+    renderers = list(dict.fromkeys(name for cell in found.cells for name in cell.second_opinion))
+    opinions = tuple(f"survive in {name}>" for name in renderers)
     spare: tuple[str, ...] = ("reused", "held within ε", "truncated px", "failed", "in the loop %", "ended", "n")
     if not any(cell.survival for cell in found.cells):
         spare = ("survival %", *spare)
-    return FittedTable((*columns, *loop), [_row(cell) for cell in found.cells], title=found.campaign, spare=spare)
+    rows = [[*_row(cell), *(_opinion(cell.second_opinion.get(name)) for name in renderers)] for cell in found.cells]
+    return FittedTable((*columns, *loop, *opinions), rows, title=found.campaign, spare=spare)
+
+
+def _opinion(survivors: "Rate | None") -> str:
+    """The adversaries that survive another renderer, with the interval of their share."""
+    if survivors is None or survivors.low is None or survivors.high is None:
+        return ""
+    low, high = _number(survivors.low, 100), _number(survivors.high, 100)
+    return f"{survivors.count} of {survivors.of} ({low}–{high} %)"
 
 
 def _row(cell: "Cell") -> list[str | Text]:

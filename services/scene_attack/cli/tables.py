@@ -14,6 +14,7 @@ from scene_attack.analysis.records import (
     Interpretation,
     MinimalChange,
     Rerendering,
+    SecondOpinion,
     Subset,
     Transferred,
 )
@@ -149,6 +150,8 @@ def _analysis_tables(analyses: Analyses) -> Iterator[FittedTable]:
         yield from _minimal(analyses.minimal)
     if analyses.transfer is not None:
         yield _transfer(analyses.transfer)
+    if analyses.second_opinion is not None:
+        yield _second_opinion(analyses.second_opinion)
     if analyses.survival is not None:
         yield _survival(analyses.survival)
     if analyses.interpretation is not None:
@@ -211,17 +214,31 @@ def _transfer(transfers: Sequence[Transferred]) -> FittedTable:
     rows: list[list[str | Text]] = [
         [
             transfer.target,
-            transfer.renderer,
             answer_text(transfer.before),
             answer_text(transfer.after),
             verdict(transfer.outcome),
             yes(transfer.right_before),
-            transfer.note,
         ]
         for transfer in transfers
     ]
-    columns = ("target", "renderer", "original", "attacked", "network", "right before", "note")
+    columns = ("target", "original", "attacked", "network", "right before")
     return FittedTable(columns, rows, title="Transfer")
+
+
+def _second_opinion(opinions: Sequence[SecondOpinion]) -> FittedTable:
+    rows: list[list[str | Text]] = [
+        [
+            opinion.renderer,
+            "" if opinion.before is None else answer_text(opinion.before),
+            "" if opinion.after is None else answer_text(opinion.after),
+            "" if opinion.outcome is None else verdict(opinion.outcome),
+            "" if opinion.share is None else f"{100 * opinion.share:.0f} %",
+            opinion.failure or opinion.note,
+        ]
+        for opinion in opinions
+    ]
+    columns = ("renderer", "original", "attacked", "network", "of other seeds>", "note")
+    return FittedTable(columns, rows, title="Second opinion: the scene drawn by other renderers")
 
 
 def _survival(survival: HeldOver) -> FittedTable:

@@ -82,6 +82,9 @@ class Group:
     """Whether its values belong to the pixels of one view of the scene, so that no other view has them."""
     moves: bool = False
     """Whether it moves objects or the camera, so that pixels show other surfaces."""
+    of_scene: bool = False
+    """Whether the scene itself can be made with the change in it (`Declaration.remade`), so that any renderer draws it.
+    """
     waves: bool = False
     """Whether its values are on a lattice in each object, for which a request chooses the shortest wavelength."""
     natural_range: str | None = None
@@ -169,6 +172,9 @@ class Declaration:
     drawn: str | None = None
     """The location "module:function" of a function (exact renderer, perturbation) that returns images of the change,
     uint8 [h, w, 3], by file name. None: it has none."""
+    remade: str | None = None
+    """The location "module:function" of a function (resolved scene, perturbation of groups `of_scene`) that returns the
+    scene with the changes in it. None: there is no such group."""
     varies: Mapping[str, str] = field(default_factory=dict)
     """The kinds of variation (`scene_attack.rendering.variation`) that it can draw, each with the group it moves."""
     varied: str | None = None
@@ -210,6 +216,10 @@ class Declaration:
     def moving_groups(self) -> tuple[str, ...]:
         """The names of the groups that move objects or the camera."""
         return tuple(group.name for group in self.groups if group.moves)
+
+    def draws(self, group: Group) -> bool:
+        """Whether it has the quantity of another renderer's group, and so draws its changes."""
+        return (group.name, group.shape, group.unit) in [(own.name, own.shape, own.unit) for own in self.groups]
 
     def group(self, name: str) -> Group:
         """Returns a group by its name. Raises KeyError for an unknown name."""

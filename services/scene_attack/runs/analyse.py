@@ -14,6 +14,7 @@ from torch import Tensor
 
 from scene_attack.analysis.attribution import Tick, of_coordinates, of_subsets
 from scene_attack.analysis.expectation import survival
+from scene_attack.analysis.images import save_png
 from scene_attack.analysis.minimal import minimal_change
 from scene_attack.analysis.records import (
     Analyses,
@@ -25,6 +26,7 @@ from scene_attack.analysis.records import (
     Transferred,
 )
 from scene_attack.analysis.rerendering import attack_through, interpret, rerender
+from scene_attack.analysis.second_opinion import second_opinion
 from scene_attack.analysis.subsets import ScoredImage, scored, subsets
 from scene_attack.analysis.transfer import Wanted, indices, shown_to
 from scene_attack.attacks.problem import Counts
@@ -36,14 +38,13 @@ from scene_attack.rendering.plan import Tolerance
 from scene_attack.rendering.protocol import Parameters
 from scene_attack.rendering.torch.declaration import TORCH
 from scene_attack.runs import classification
-from scene_attack.runs.described import described
 from scene_attack.runs.prepare import Prepared, prepare, resolved_scene, task_of
 from scene_attack.runs.replay import read_stored
 from scene_attack.runs.spec import JobSpec, asked_goal, parse
 from scene_attack.scenes.image_file import other_size
 from scene_attack.scenes.library import Library
 from scene_attack.scenes.reading.isolated import reader
-from scene_attack.scenes.resolve import ResolvedScene, resolve
+from scene_attack.scenes.resolve import ResolvedScene
 from scene_attack.targets import registry
 from scene_attack.targets.labels import same_labels
 from scene_attack.targets.protocol import Target
@@ -62,8 +63,11 @@ class Subject:
     attacked: ScoredImage
 
 
-def analyse(subject: Subject, request: AnalysisRequest, library: Library, report: Report) -> Analyses:
-    """Makes the analyses. Raises JobFailure, and what `report` raises, which may be Cancelled."""
+def analyse(subject: Subject, request: AnalysisRequest, out: Path, report: Report) -> Analyses:
+    """Makes the analyses, and writes their images into the folder `out`.
+
+    Raises JobFailure, and what `report` raises, which may be Cancelled.
+    """
     prepared, perturbation = subject.prepared, subject.perturbation
     original, attacked = subject.original, subject.attacked
     verifier, goal = prepared.verifier, prepared.settled.goal
@@ -79,12 +83,21 @@ def analyse(subject: Subject, request: AnalysisRequest, library: Library, report
             verifier, goal, perturbation, original, request.minimal, physical=words, tick=partial(report, "minimal")
         )
     if request.transfer is not None:
-        asked = [*request.transfer.targets, *request.transfer.renderers]
         analyses.transfer = []
-        for number, name in enumerate(asked):
-            report("transfer", number, len(asked))
-            is_target = number < len(request.transfer.targets)
-            analyses.transfer.append(_to_target(subject, name) if is_target else _to_renderer(subject, name, library))
+        for number, name in enumerate(request.transfer.targets):
+            report("transfer", number, len(request.transfer.targets))
+            analyses.transfer.append(_to_target(subject, name))
+    if request.second_opinion is not None:
+        analyses.second_opinion = []
+        for number, name in enumerate(request.second_opinion.renderers):
+            report("second opinion", number, len(request.second_opinion.renderers))
+            wanted = _wanted(prepared, prepared.target.name, prepared.target.labels)
+            opinion, images = second_opinion(
+                prepared.scene, prepared.renderer.name, perturbation, name, prepared.target, wanted
+            )
+            analyses.second_opinion.append(opinion)
+            for file, image in images.items():
+                save_png(image, out / file)
     if request.survival is not None and goal.fooled(attacked.logits):
         tick, seed = partial(report, "survival"), prepared.spec.seed
         analyses.survival = survival(
@@ -113,23 +126,7 @@ def _to_target(subject: Subject, name: str) -> Transferred:
     prepared = subject.prepared
     other = replace(prepared.verifier, target=registry.load(name), counts=Counts())
     goal = _wanted(prepared, name, other.target.labels)
-    return shown_to(other, goal, subject.original.saved, subject.attacked.saved, prepared.renderer.name)
-
-
-def _to_renderer(subject: Subject, name: str, library: Library) -> Transferred:
-    """The scene that the perturbation describes, drawn by another renderer."""
-    prepared = subject.prepared
-    moved, carried, left = described(prepared.spec.scene, prepared.renderer.name, subject.perturbation)
-    note = f"carries {', '.join(carried)}" + (f"; leaves out {', '.join(left)}" if left else "")
-    asked = Verifier(build(prepared.scene, name, tolerance="exact"), prepared.target)
-    original = attacked = asked.image({})
-    try:
-        attacked = Verifier(build(resolve(moved, library), name, tolerance="exact"), prepared.target).image({})
-    except InvalidRequest as error:  # an object has left the frame
-        note = f"{note}; the changed scene cannot be drawn: {error.detail}"
-    return shown_to(
-        asked, _wanted(prepared, prepared.target.name, prepared.target.labels), original, attacked, name, note
-    )
+    return shown_to(other, goal, subject.original.saved, subject.attacked.saved)
 
 
 def _wanted(prepared: Prepared, target: str, labels: tuple[str, ...]) -> Wanted:
@@ -166,7 +163,7 @@ def analyse_stored(directory: Path, request: AnalysisRequest, library: Library, 
     perturbation = {group: stored.perturbation[group] for group in spec.attack.groups}  # in the order of tables
     ends = prepared.original, scored(verifier, perturbation)
     rows = subsets(verifier, prepared.settled.goal, perturbation, *ends)
-    analyses = analyse(Subject(prepared, perturbation, *ends), request, library, report)
+    analyses = analyse(Subject(prepared, perturbation, *ends), request, directory, report)
     return StoredAnalysis(subsets=rows, attribution=of_subsets(rows), analyses=analyses)
 
 

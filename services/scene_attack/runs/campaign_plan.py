@@ -389,6 +389,11 @@ def case_of(planned: Planned, result: Result, *, run_seconds: float | None = Non
         loop_perceptibility=rows[-1].perceptibility if rows else None,
         truncated=result.cost.truncated,
         survival=None if result.analyses.survival is None else result.analyses.survival.share,
+        second_opinion={
+            opinion.renderer: opinion.outcome
+            for opinion in result.analyses.second_opinion or ()
+            if opinion.outcome is not None
+        },
         queries=result.cost.queries,
         seconds=result.cost.seconds,
         run_seconds=run_seconds,

@@ -125,7 +125,7 @@ def execute(
         settings["leave_out"] = left_out.settings
     progress(Progress(phase="analysing", step=run.step, steps=steps))
     interrupt()
-    return _write(prepared, run, settings, out, library, partial(report, "analysing"), left_out)
+    return _write(prepared, run, settings, out, partial(report, "analysing"), left_out)
 
 
 def _problem(prepared: Prepared, interrupt: Callable[[], None]) -> AttackProblem:
@@ -150,7 +150,6 @@ def _write(
     run: AttackRun,
     settings: dict[str, object],
     out: Path,
-    library: Library,
     report: Report,
     left_out: LeftOut | None,
 ) -> Result:
@@ -163,7 +162,7 @@ def _write(
     rows = subsets(verifier, settled.goal, stored, *ends, lambda row, image: save_png(image, out / subset_image(row)))
     analyses = Analyses()
     if prepared.spec.analysis != AnalysisRequest():  # it asks for some
-        analyses = analyse(Subject(prepared, stored, *ends), prepared.spec.analysis, library, report)
+        analyses = analyse(Subject(prepared, stored, *ends), prepared.spec.analysis, out, report)
     held = _held_over(prepared, stored, partial(report, "expectation"))
     verdict, part = _verdict(prepared, run, attacked, out)
     answer_of = partial(answer, labels=prepared.target.labels, goal=settled.goal)

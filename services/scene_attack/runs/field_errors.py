@@ -14,7 +14,9 @@ from typing import Any
 
 from pydantic import BaseModel
 
+from scene_attack.attacks.attack import ATTACKS
 from scene_attack.errors import InvalidRequest, encodable
+from scene_attack.rendering.declaration import RENDERERS
 from scene_attack.strict import UNKNOWN
 from scene_attack.text import did_you_mean, there_are
 
@@ -52,7 +54,7 @@ def invalid_fields(items: Iterable[Mapping[str, Any]], model: type[BaseModel]) -
     A field with alternatives is reported once, with all of them; where an alternative has fields of its own that are
     invalid, those are reported instead.
     """
-    schema, details = _schema(model), dict[tuple[str, ...], str]()
+    schema, details = _schema(model, (*ATTACKS, *RENDERERS)), dict[tuple[str, ...], str]()
     for item in islice(items, MAX_ERRORS):
         path, detail = _error(item, schema)
         details.setdefault(path, detail)
@@ -63,7 +65,7 @@ def invalid_fields(items: Iterable[Mapping[str, Any]], model: type[BaseModel]) -
 
 
 @cache
-def _schema(model: type[BaseModel]) -> Schema:
+def _schema(model: type[BaseModel], registered: tuple[str, ...]) -> Schema:  # noqa: ARG001 - on which it depends, too
     return model.model_json_schema()
 
 

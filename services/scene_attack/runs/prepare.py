@@ -30,7 +30,6 @@ from scene_attack.rendering.torch.declaration import TORCH, check_preset
 from scene_attack.rendering.torch.renderer import smallest_map
 from scene_attack.rendering.variation import STILL, moved, varied
 from scene_attack.runs import classification
-from scene_attack.runs.described import can_carry
 from scene_attack.runs.result import JobPlan
 from scene_attack.runs.spec import AskedGoal, JobSpec, asked_goal
 from scene_attack.runs.task import Settled, Task
@@ -224,41 +223,39 @@ def check_analysis(spec: JobSpec) -> None:
     if spec.analysis.adaptive is not None and not registry.has_gradient(spec.target.name):
         detail = f"it needs gradients, and the scores of {spec.target.name} have none with respect to the image"
         raise InvalidRequest("analysis.adaptive", detail)
-    asked = spec.analysis.transfer
-    if asked is None:
-        return
-    for index, name in enumerate(asked.targets):
+    for index, name in enumerate(() if spec.analysis.transfer is None else spec.analysis.transfer.targets):
         field = f"analysis.transfer.targets.{index}"
         with at_field(field):
             registry.labels(name)
         if models_of("ask", name):
             raise InvalidRequest(field, f"{name} must be asked something; an image is shown to it without that")
-    drawing = [
-        name
-        for name, declaration in RENDERERS.items()
-        if declaration.base_renderer is None and name != spec.attack.renderer
-    ]
-    for index, name in enumerate(asked.renderers):
-        field = f"analysis.transfer.renderers.{index}"
-        if name == spec.attack.renderer:
-            raise InvalidRequest(field, f"{name} is the renderer of the attack itself")
-        if name not in drawing:
-            raise InvalidRequest(field, f"there is no renderer {name!r} that draws a scene; {there_are(name, drawing)}")
-        if not can_carry(spec.attack.renderer, spec.attack.groups):
-            attacked = ", ".join(spec.attack.groups)
-            raise InvalidRequest(
-                field,
-                f"nothing of {attacked} ({spec.attack.renderer}) is a part of the scene that {name} draws; colours, "
-                "poses and the camera of pyrender are",
-            )
+    for index, name in enumerate(_second_opinions(spec)):
+        _check_opinion(spec, name, f"analysis.second_opinion.renderers.{index}")
+
+
+def _second_opinions(spec: JobSpec) -> tuple[str, ...]:
+    asked = spec.analysis.second_opinion
+    return () if asked is None else asked.renderers
+
+
+def _check_opinion(spec: JobSpec, name: str, field: str) -> None:
+    own = RENDERERS[spec.attack.renderer]
+    drawing = {n: d for n, d in RENDERERS.items() if d.base_renderer is None and n != own.name}
+    if name == own.name:
+        raise InvalidRequest(field, f"{name} is the renderer of the attack itself")
+    if name not in drawing:
+        raise InvalidRequest(field, f"there is no renderer {name!r} that draws a scene; {there_are(name, drawing)}")
+    groups = [own.group(group) for group in spec.attack.groups]
+    if not any(group.of_scene or drawing[name].draws(group) for group in groups):
+        attacked = ", ".join(spec.attack.groups)
+        raise InvalidRequest(field, f"{name} has nothing of {attacked} ({own.name}) that it could draw changed")
 
 
 def _check_installed(spec: JobSpec) -> None:
     """Raises MissingExtra naming the field, for a renderer that needs a package which is not installed: of the attack,
     of its image, or of the analyses, which would lose the finished attack."""
     asked = {"attack.renderer": spec.attack.renderer, "attack.base_renderer": spec.attack.base_renderer}
-    if spec.analysis.transfer is not None:
-        asked |= {f"analysis.transfer.renderers.{k}": name for k, name in enumerate(spec.analysis.transfer.renderers)}
+    asked |= {f"analysis.second_opinion.renderers.{k}": name for k, name in enumerate(_second_opinions(spec))}
     for field, name in asked.items():
         declared = None if name is None else RENDERERS.get(name)
         if declared is not None and declared.requires is not None:

@@ -36,7 +36,7 @@ def test_only_a_network_that_was_right_is_fooled(
     weight: float, offset: float, truth: frozenset[int], right_before: bool | None, outcome: str
 ) -> None:
     verifier = Verifier(Pixels(), Built([weight] + 8 * [0.0], {}, offset))
-    found = shown_to(verifier, Wanted(truth, None, (), 0.0), grey(0), grey(20), "torch")
+    found = shown_to(verifier, Wanted(truth, None, (), 0.0), grey(0), grey(20))
     assert (found.right_before, found.outcome) == (right_before, outcome)
     assert found.target == "built"
 

@@ -419,14 +419,24 @@ ANALYSES = {
     "transfer": [
         {
             "target": name,
-            "renderer": "torch",
             "before": {"label": "piano", "confidence": 0.9},
             "after": {"label": "<desk>", "confidence": 0.4},
             "outcome": outcome,
             "right_before": right,
-            "note": "",
         }
         for name, right, outcome in (("a", True, "fooled"), ("b", False, "still-wrong"), ("c", None, "changed"))
+    ],
+    "second_opinion": [
+        {
+            "renderer": "tracer",
+            "before": {"label": "piano", "confidence": 0.9},
+            "after": {"label": "<desk>", "confidence": 0.4},
+            "outcome": "held",
+            "right_before": True,
+            "share": 0.5,
+            "note": "without map",
+        },
+        {"renderer": "broken", "failure": "it was killed"},
     ],
     "survival": {
         "variations": 64,
@@ -479,9 +489,11 @@ async def test_job_page_shows_the_analyses_that_were_asked_for(record: Record) -
         "at 25.0 % of the stored perturbation the network says upright (50.0 %), p = 2.00 (3.00 as saved) × 10⁻³",
         "at 20.0 % it held. Every scanned scale from 75.0 % on fools.",
         "rotation, object 0 angle 1.5 6 degrees",
-        "a torch piano 90.0 % <desk> 40.0 % fooled",
-        "b torch piano 90.0 % <desk> 40.0 % still-wrong",
-        "c torch piano 90.0 % <desk> 40.0 % changed truth unknown",
+        "a piano 90.0 % <desk> 40.0 % fooled",
+        "b piano 90.0 % <desk> 40.0 % still-wrong",
+        "c piano 90.0 % <desk> 40.0 % changed truth unknown",
+        "tracer piano 90.0 % <desk> 40.0 % held under 50.0 % of other seeds without map",
+        "broken none it was killed",
         "the network is right on 50 photographs of the original; of the attacked image it is fooled on 40 of these: "
         "the adversary survives 80.0 % (67.0 % to 88.7 %",
         "sgd 1.0e-04 5.000 4.000 piano 80.0 %",

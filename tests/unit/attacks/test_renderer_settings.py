@@ -125,8 +125,8 @@ def test_a_renderer_is_built_with_its_settings() -> None:
         ({"attack": {"renderer": "haze"}}, "attack.renderer"),
         ({"attack": {"renderer": "image", "base_renderer": "haze"}}, "attack.base_renderer"),
         (
-            {"attack": {"renderer": "pyrender"}, "analysis": {"transfer": {"renderers": ["haze"]}}},
-            "analysis.transfer.renderers.0",
+            {"attack": {"renderer": "pyrender"}, "analysis": {"second_opinion": {"renderers": ["haze"]}}},
+            "analysis.second_opinion.renderers.0",
         ),
     ],
 )

@@ -84,7 +84,7 @@ def test_shapley_values_of_a_job_sum_to_its_effect(tmp_path: Path) -> None:
 
 def test_poses_are_carried_to_the_other_renderer_and_words_are_physical(tmp_path: Path) -> None:
     attack = {"renderer": "pyrender", "groups": ["color", "rotation"], "delta": 1e-2, "steps": 2}
-    analysis = {"transfer": {"renderers": ["torch"]}, "minimal": {"scans": 1, "bisections": 0}}
+    analysis = {"second_opinion": {"renderers": ["torch"]}, "minimal": {"scans": 1, "bisections": 0}}
     job = spec(attack, scene={"objects": [{"mesh": "primitive/cube"}]}, analysis=analysis)
     result = execute(job, tmp_path, LIBRARY)
     moved = load_file(tmp_path / "perturbation.safetensors")
@@ -98,11 +98,13 @@ def test_poses_are_carried_to_the_other_renderer_and_words_are_physical(tmp_path
     image = (changed.render({g: v[None] for g, v in changed.initial().items()})[0] * 255).round() / 255
     target = prepare(job, LIBRARY).target
     probabilities = target.logits(image[None].float()).softmax(dim=-1)[0]
-    assert result.analyses.transfer is not None
-    [found] = result.analyses.transfer
+    assert result.analyses.second_opinion is not None
+    [found] = result.analyses.second_opinion
+    assert found.after is not None
+    assert found.before is not None
     assert found.after.label == target.labels[int(probabilities.argmax())]
     assert found.after.confidence == pytest.approx(float(probabilities.max()), abs=1e-4)
-    assert found.note == "carries color, rotation"
+    assert (found.note, found.share, found.failure) == ("", None, None)
     own = build(resolve(job.scene, LIBRARY), "torch", tolerance="exact")
     unmoved = (own.render({g: v[None] for g, v in own.initial().items()})[0] * 255).round() / 255
     first = target.logits(unmoved[None].float()).softmax(dim=-1)[0]
@@ -154,29 +156,35 @@ def test_a_cancelled_job_stops_within_an_analysis(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("attack", "transfer", "field", "said"),
+    ("attack", "renderer", "said"),
     [
-        ({"renderer": "image"}, {"targets": ["efficientnet-lite"]}, "targets.0", "efficientnet-lite0"),
-        ({"renderer": "pyrender"}, {"renderers": ["pyrender"]}, "renderers.0", "the attack itself"),
-        ({"renderer": "pyrender"}, {"renderers": ["torhc"]}, "renderers.0", "torch"),
-        ({"renderer": "pyrender"}, {"renderers": ["image"]}, "renderers.0", "no renderer 'image' that draws a scene"),
-        ({"renderer": "torch"}, {"renderers": ["pyrender"]}, "renderers.0", "nothing of normals"),
-        ({"renderer": "pyrender", "groups": ["illumination"]}, {"renderers": ["torch"]}, "renderers.0", "nothing of"),
+        ({"renderer": "pyrender"}, "pyrender", "the attack itself"),
+        ({"renderer": "pyrender"}, "torhc", "torch"),
+        ({"renderer": "pyrender"}, "image", "no renderer 'image' that draws a scene"),
+        ({"renderer": "torch"}, "pyrender", "nothing of normals"),
+        ({"renderer": "pyrender", "groups": ["illumination"]}, "torch", "nothing of"),
+        ({"renderer": "image"}, "pyrender", "nothing of image"),
     ],
 )
-def test_an_analysis_that_cannot_be_made_is_refused_before_the_job(
-    attack: dict[str, Any], transfer: dict[str, Any], field: str, said: str
+def test_an_opinion_that_cannot_be_had_is_refused_before_the_job(
+    attack: dict[str, Any], renderer: str, said: str
 ) -> None:
     with pytest.raises(InvalidRequest) as refused:
-        prepare(spec(attack, analysis={"transfer": transfer}), LIBRARY)
-    assert refused.value.field == f"analysis.transfer.{field}"
+        prepare(spec(attack, analysis={"second_opinion": {"renderers": [renderer]}}), LIBRARY)
+    assert refused.value.field == "analysis.second_opinion.renderers.0"
     assert said in refused.value.detail
+
+
+def test_an_unknown_network_is_refused_before_the_job() -> None:
+    with pytest.raises(InvalidRequest, match=r"^analysis.transfer.targets.0: .*efficientnet-lite0"):
+        prepare(spec({"renderer": "image"}, analysis={"transfer": {"targets": ["efficientnet-lite"]}}), LIBRARY)
 
 
 @pytest.mark.parametrize(
     ("analysis", "field"),
     [
-        ({"transfer": {}}, "analysis.transfer"),
+        ({"transfer": {}}, "analysis.transfer.targets"),
+        ({"second_opinion": {"renderers": []}}, "analysis.second_opinion.renderers"),
         ({"minimal": {"scans": 0}}, "analysis.minimal.scans"),
         ({"coordinates": {"images": 3}}, "analysis.coordinates.images"),
         ({"rerendering": {"optimiser": "lbfgs"}}, "analysis.rerendering.optimiser"),

@@ -20,7 +20,7 @@ app = typer.Typer()
 
 @app.command(
     epilog="Examples: [bold]scene-attack analyse out/combined --minimal[/bold]\n\n"
-    "[bold]scene-attack analyse out/poses --coordinates --transfer efficientnet-lite0 --renderer torch[/bold]"
+    "[bold]scene-attack analyse out/poses --coordinates --transfer efficientnet-lite0 --second-opinion torch[/bold]"
 )
 def analyse(
     directory: Annotated[Path, typer.Argument(help="The directory that `run --out` or `jobs download` wrote.")],
@@ -30,8 +30,9 @@ def analyse(
     transfer: Annotated[
         list[str] | None, typer.Option(metavar="TARGET", help="Show the image to this target; repeatable.")
     ] = None,
-    renderer: Annotated[
-        list[str] | None, typer.Option(metavar="NAME", help="Draw the changed scene with this renderer; repeatable.")
+    second_opinion: Annotated[
+        list[str] | None,
+        typer.Option(metavar="RENDERER", help="Draw the changed scene with this renderer; repeatable."),
     ] = None,
     survival: Annotated[bool, typer.Option("--survival", help="Have 64 ordinary cameras take the image.")] = False,
     interpret: Annotated[bool, typer.Option("--interpret", help="Fit physical parameters to the image.")] = False,
@@ -52,7 +53,8 @@ def analyse(
     request: dict[str, Any] = {
         "minimal": {} if minimal else None,
         "coordinates": {"images": images} if coordinates else None,
-        "transfer": {"targets": transfer or [], "renderers": renderer or []} if transfer or renderer else None,
+        "transfer": {"targets": transfer} if transfer else None,
+        "second_opinion": {"renderers": second_opinion} if second_opinion else None,
         "survival": {} if survival else None,
         "interpretation": {"steps": steps} if interpret else None,
         "rerendering": {"steps": steps} if defend else None,

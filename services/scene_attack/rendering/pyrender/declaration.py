@@ -32,6 +32,7 @@ PYRENDER = Declaration(
             words="colour",
             explanation="a factor on each object's own colours",
             suggested_limit=0.1,
+            of_scene=True,
             labels=labelled("object {} color", ("red", "green", "blue")),
             suggested_step=0.005,
         ),
@@ -44,6 +45,7 @@ PYRENDER = Declaration(
     explanation="draws with OpenGL, and moves lamps, objects and camera; no gradients",
     renderer="scene_attack.rendering.pyrender.renderer:PyrenderRenderer",
     worded="scene_attack.rendering.pyrender.words:worded",
+    remade="scene_attack.rendering.pyrender.parameters:recolored",
     varies=dict.fromkeys(("azimuth", "elevation", "roll", "distance"), "camera") | {"intensity": "illumination"},
     varied="scene_attack.rendering.pyrender.renderer:varied",
 )

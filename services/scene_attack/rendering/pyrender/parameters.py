@@ -4,6 +4,7 @@ azimuth, elevation, distance and roll.
 
 from collections.abc import Mapping
 from copy import copy
+from dataclasses import replace
 from math import cos, inf
 
 import numpy as np
@@ -170,6 +171,15 @@ class SceneParameters:
         [objects, 3]. The floor's, which stays, is the last.
         """
         return np.concatenate([model_matrices(translations, rotations, self._scales), self._fixed_poses])
+
+
+def recolored(scene: ResolvedScene, perturbation: Parameters) -> ResolvedScene:
+    """The scene whose objects have the colours of a perturbation of the group `color`."""
+    objects = tuple(
+        placed.model_copy(update={"color": tuple((np.array(placed.color) + change.double().numpy()).tolist())})
+        for placed, change in zip(scene.description.objects, perturbation["color"], strict=True)
+    )
+    return replace(scene, description=scene.description.model_copy(update={"objects": objects}))
 
 
 def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -66,6 +66,7 @@ TORCH = Declaration(
         Group(
             name="bump",
             shape=("objects", "nodes", "nodes", "nodes"),
+            of_scene=True,
             waves=True,
             unit="thousandths of the object's size (mm at 1 m): heights of cubic B-splines on a lattice in its frame",
             words="dents",
@@ -119,6 +120,7 @@ TORCH = Declaration(
         Group(
             name="shape",
             shape=("objects", "nodes", "nodes", "nodes", "3"),
+            of_scene=True,
             waves=True,
             unit="thousandths of the object's size (mm at 1 m): displacements of its points by cubic B-splines on a "
             "lattice in its frame",
@@ -154,6 +156,7 @@ TORCH = Declaration(
     explanation="shades meshes under an environment map; exact gradients",
     renderer="scene_attack.rendering.torch.renderer:TorchRenderer",
     drawn="scene_attack.rendering.torch.words:drawn",
+    remade="scene_attack.rendering.torch.shape:bent",
     worded="scene_attack.rendering.torch.words:worded",
     varies=dict.fromkeys(("azimuth", "elevation", "roll", "distance"), "camera") | {"intensity": "illumination"},
     varied="scene_attack.rendering.torch.renderer:varied",
