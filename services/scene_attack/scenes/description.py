@@ -136,7 +136,8 @@ class Floor(Model):
     contact: bool = Field(
         default=False,
         exclude_if=operator.not_,
-        description="whether `height` is above the lowest point of the objects, so that they stand on it at 0",
+        description="whether `height` is above the lowest point of all objects, to which each one is lowered: at 0 all "
+        "stand on the floor",
     )
     color: Colour = Field(default=(0.5, 0.5, 0.5), description="linear RGB")
     material: Annotated[str, reference("material")] = Field(

@@ -238,7 +238,7 @@ class ResolvedScene:
     """
 
     description: Scene
-    """The request's scene, with the height of its floor in the world."""
+    """The request's scene, with the height of its floor in the world and the objects that stand on it where they do."""
     meshes: tuple[Mesh, ...]
     models: tuple[Doubles, ...]
     view: Doubles
@@ -330,10 +330,10 @@ def resolve(scene: Scene, library: Library) -> ResolvedScene:
     meshes = _meshes(library, scene)
     light = scene.lights.environment
     source = _environment(library, scene)
-    models = tuple(model_matrix(placed) for placed in scene.objects)
     drawn = scene.model_copy(update={"source": None})  # which says again what the other fields say
     sha256 = fingerprint(drawn, [*(mesh.sha256 for mesh in meshes), source.sha256])
-    scene = _standing(scene, meshes, models)
+    scene = _standing(scene, meshes)
+    models = tuple(model_matrix(placed) for placed in scene.objects)
     view = camera_to_world(scene.camera)
     lens = projection(scene.camera, _far(scene, view))
     for k, (mesh, model) in enumerate(zip(meshes, models, strict=True)):
@@ -405,17 +405,24 @@ def _picture(scene: Scene) -> Doubles | None:
         return read_picture(scene.background.image, scene.camera.size)
 
 
-def _standing(scene: Scene, meshes: Sequence[Mesh], models: Sequence[Doubles]) -> Scene:
-    """The scene with the height of its floor in the world, where it is given above the objects' lowest point."""
+def _standing(scene: Scene, meshes: Sequence[Mesh]) -> Scene:
+    """The scene with its objects on the floor and the floor's height in the world, where it is given above the objects'
+    lowest point: the object that has it stays, and the others are lowered as far."""
     if scene.floor is None or not scene.floor.contact:
         return scene
-    lowest = min(
-        float((part.vertices * model[1, :3]).sum(axis=1).min() + model[1, 3])
-        for mesh, model in zip(meshes, models, strict=True)
-        for part in mesh.parts
-    )
+    feet = [_lowest(mesh, model_matrix(thing)) for mesh, thing in zip(meshes, scene.objects, strict=True)]
+    lowest = min(feet)
+    objects = []
+    for thing, foot in zip(scene.objects, feet, strict=True):
+        x, y, z = thing.translation
+        objects.append(thing.model_copy(update={"translation": (x, y - (foot - lowest), z)}))
     floor = scene.floor.model_copy(update={"height": lowest + scene.floor.height, "contact": False})
-    return scene.model_copy(update={"floor": floor})
+    return scene.model_copy(update={"objects": tuple(objects), "floor": floor})
+
+
+def _lowest(mesh: Mesh, model: Doubles) -> float:
+    """The least y of a mesh in the world."""
+    return min(float((part.vertices * model[1, :3]).sum(axis=1).min() + model[1, 3]) for part in mesh.parts)
 
 
 def _far(scene: Scene, view: Doubles) -> float:

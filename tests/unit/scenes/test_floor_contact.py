@@ -39,6 +39,16 @@ def test_the_lowest_of_several_objects_touches_it() -> None:
     assert height(resolved({"contact": True}, lower, TURNED)) < height(resolved({"contact": True}))
 
 
+def test_every_other_object_is_lowered_until_it_touches_it_too() -> None:
+    [ball] = LIBRARY.mesh("primitive/sphere").parts
+    radius = float(-ball.vertices[:, 1].min())
+    found = resolved({"contact": True}, BALL, TURNED)
+    lowered, stays = found.description.objects
+    assert stays.translation == (0, 0.1, 0)
+    assert lowered.translation == pytest.approx((0.4, height(found) + 0.5 * radius, 0), abs=1e-6)
+    assert [model[:3, 3].tolist() for model in found.models] == [[*lowered.translation], [*stays.translation]]
+
+
 def test_it_is_the_floor_of_that_height_in_every_way_but_its_request() -> None:
     found = resolved({"contact": True})
     same = resolved({"height": height(found)})
