@@ -55,7 +55,7 @@ class SceneLimits:
         if not can_carry(self._renderer, tuple(perturbation)):
             return True
         if CAMERA in perturbation and perturbation[CAMERA][ROLL] != 0:
-            return False  # a scene has no roll, so that its record would not know of it
+            return False  # CLEVR's cameras are upright, so that a record would not know of it
         scene, _, _ = described(self._scene, self._renderer, perturbation)
         record, rig = record_after(self._record, scene), rig_after(self._record, scene.camera)
         try:

@@ -129,5 +129,5 @@ def _is_same(thing: SceneObject, other: SceneObject) -> bool:
 
 
 def _is_seen_from(camera: Camera, other: Camera) -> bool:
-    places = ("azimuth", "elevation", "distance", "field_of_view")
+    places = ("azimuth", "elevation", "distance", "roll", "field_of_view")
     return all(isclose(getattr(camera, name), getattr(other, name), abs_tol=ROUNDING) for name in places)

@@ -26,8 +26,8 @@ roll are the same turn."""
 
 
 class MovingCamera:
-    """The scene's camera as a function of four coordinates: azimuth, elevation and distance as in the scene's
-    description, and a roll about the viewing direction. The lens is the scene's.
+    """The scene's camera as a function of four coordinates: azimuth, elevation, distance and roll as in the scene's
+    description. The lens is the scene's.
 
     initial: float64 [4]. bounds: lowest and highest value of each coordinate, float64 [4]. Azimuth and roll are free.
     The elevation keeps `POLES` from straight above and below. The distance keeps the camera outside the ball about the
@@ -39,7 +39,7 @@ class MovingCamera:
     def __init__(self, scene: ResolvedScene) -> None:
         self._projection = scene.projection
         camera = scene.description.camera
-        own = torch.tensor([camera.azimuth, camera.elevation, camera.distance, 0.0], dtype=torch.float64)
+        own = torch.tensor([camera.azimuth, camera.elevation, camera.distance, camera.roll], dtype=torch.float64)
         radius = max(float(np.linalg.norm(o.translation)) + o.scale * FIT_RADIUS for o in scene.description.objects)
         far = scene.projection[2, 3] / (scene.projection[2, 2] + 1)
         steepest, nearest, furthest = pi / 2 - POLES, radius + NEAR, far - radius

@@ -1,7 +1,7 @@
 """The scene that a perturbation of physical parameters describes, so that another renderer can draw it.
 
 Only the pyrender renderer's parameters are fields of a scene: poses and colours of objects and the camera's place,
-which every renderer draws. A scene's camera has no roll.
+which every renderer draws.
 Its lights are its own; the torch renderer is lit by the environment map. The torch renderer's normals belong to the
 pixels of one view, and its texels and material coefficients to itself. The pixels of an image belong to no scene.
 """
@@ -44,8 +44,8 @@ def described(scene: Scene, renderer: str, perturbation: Parameters) -> tuple[Sc
             "azimuth": camera.azimuth + azimuth,
             "elevation": camera.elevation + elevation,
             "distance": camera.distance + distance,
+            "roll": camera.roll + roll,
         }
         camera = camera.model_copy(update=place)
-        left += ["camera roll"] if roll else []
     carried = [group for group in perturbation if group in (*OF_OBJECTS, CAMERA)]
     return scene.model_copy(update={"objects": tuple(objects), "camera": camera}), carried, left

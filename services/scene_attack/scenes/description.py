@@ -59,7 +59,7 @@ ROUGHNESS = "0: smooth, 1: rough (pyrender, by the same BRDF); below 0.04 it is 
 
 
 class Camera(Model):
-    """A camera on a sphere around the origin, looking at it, +y up."""
+    """A camera on a sphere around the origin, looking at it, +y up unless it is rolled."""
 
     azimuth: Angle = Field(default=0.61, description="angle about +y from +z towards +x, radians")
     elevation: Annotated[float, Field(ge=-pi / 2, le=pi / 2, allow_inf_nan=False)] = Field(
@@ -67,6 +67,11 @@ class Camera(Model):
     )
     distance: Annotated[float, Field(ge=0.05, le=100, allow_inf_nan=False)] = Field(
         default=DISTANCE, description="distance from the origin, scene units; the paper's is 1.8"
+    )
+    roll: Angle = Field(
+        default=0.0,
+        exclude_if=operator.not_,
+        description="turn about its line of sight to its own left, radians: its image turns clockwise",
     )
     field_of_view: Annotated[float, Field(ge=0.01, le=2.8, allow_inf_nan=False)] = Field(
         default=FIELD_OF_VIEW, description="vertical field of view, radians"

@@ -14,7 +14,7 @@ NEAR = 0.01
 
 def camera_to_world(camera: Camera) -> Doubles:
     """Returns the pose of the camera of a scene's description, as `camera_pose` does."""
-    return camera_pose(camera.azimuth, camera.elevation, camera.distance)
+    return camera_pose(camera.azimuth, camera.elevation, camera.distance, camera.roll)
 
 
 def camera_pose(azimuth: float, elevation: float, distance: float, roll: float = 0.0) -> Doubles:

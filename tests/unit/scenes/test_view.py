@@ -39,6 +39,19 @@ def test_the_camera_stands_where_it_should_and_looks_at_the_origin(azimuth, elev
     assert abs(pose[1, 0]) < 1e-12, "the horizon is level"
 
 
+@given(st.floats(-6, 6), st.floats(-pi / 2, pi / 2), st.floats(-6, 6))
+def test_roll_turns_the_camera_about_its_line_of_sight_to_its_left(azimuth, elevation, roll):
+    level, rolled = (camera_to_world(Camera(azimuth=azimuth, elevation=elevation, roll=r)) for r in (0.0, roll))
+    turn = np.eye(4)
+    turn[:3, :3] = Rotation.from_rotvec([0, 0, roll]).as_matrix()
+    assert np.allclose(rolled, level @ turn, atol=1e-12)
+
+
+def test_a_camera_without_roll_is_written_as_before_there_was_any():
+    assert "roll" not in Camera().model_dump()
+    assert Camera(roll=0.5).model_dump()["roll"] == 0.5
+
+
 def test_the_projection_has_the_field_of_view_and_square_pixels():
     camera = Camera(field_of_view=0.8, size=(100, 250))
     top = projection(camera, 50.0) @ [0, tan(0.4) * 3, -3, 1]

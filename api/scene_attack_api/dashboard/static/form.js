@@ -35,6 +35,7 @@ const SLIDERS = {
   "scene.camera.azimuth": { low: -180, high: 180, unit: "°", of: DEGREE, hint: "around the object, from +z towards +x" },
   "scene.camera.elevation": { low: -90, high: 90, unit: "°", of: DEGREE, hint: "above the horizon; the paper's is 20°" },
   "scene.camera.distance": { low: 0.5, high: 10, step: 0.05, unit: "units", of: 1, hint: "from the middle of the scene; the paper's is 1.8" },
+  "scene.camera.roll": { low: -180, high: 180, unit: "°", of: DEGREE, hint: "about the line of sight; the image turns clockwise" },
   "scene.camera.field_of_view": { low: 5, high: 120, unit: "°", of: DEGREE, hint: "from the lower to the upper edge of the image" },
   "attack.expectation.azimuth": { low: 0, high: 180, unit: "± °", of: 1, hint: "of the camera's azimuth" },
   "attack.expectation.elevation": { low: 0, high: 90, unit: "± °", of: 1, hint: "of the camera's elevation" },

@@ -15,7 +15,7 @@ from scene_attack.rendering.pyrender.renderer import PyrenderRenderer
 from scene_attack.scenes.description import Floor, Lights, PointLight, SceneObject
 from scene_attack.scenes.mesh import FIT_RADIUS
 from scene_attack.scenes.resolve import ResolvedScene
-from scene_attack.scenes.view import NEAR
+from scene_attack.scenes.view import NEAR, camera_to_world
 from tests.unit.rendering.pyrender.rasterised_scenes import LIGHTS, rasterised, wrinkled
 from tests.unit.rendering.shapes import mesh, placed, quad, scene, six_parts, sphere
 
@@ -30,10 +30,10 @@ def looking(renderer: PyrenderRenderer, *camera: float) -> Tensor:
 
 
 def test_it_starts_at_the_scenes_own_camera_to_the_bit() -> None:
-    resolved = cube(azimuth=0.7, elevation=-0.3, distance=2.1)
-    assert MovingCamera(resolved).initial.tolist() == [0.7, -0.3, 2.1, 0.0]
-    own = CameraMatrices.of(resolved.view, resolved.projection)
-    found = MovingCamera(resolved).matrices(np.array([0.7, -0.3, 2.1, 0.0]))
+    resolved = cube(azimuth=0.7, elevation=-0.3, distance=2.1, roll=0.4)
+    assert MovingCamera(resolved).initial.tolist() == [0.7, -0.3, 2.1, 0.4]
+    own = CameraMatrices.of(camera_to_world(resolved.description.camera), resolved.projection)
+    found = MovingCamera(resolved).matrices(np.array([0.7, -0.3, 2.1, 0.4]))
     for name in ("clip_from_world", "eye", "forward"):
         np.testing.assert_array_equal(getattr(found, name), getattr(own, name))
 
