@@ -305,7 +305,8 @@ def attack(
                 prepare_folder(folder, "out")
             library = local_library(chosen)
             record = execute(spec, folder, library, progress=progress, cancelled=interrupted)
-            if any(library.has_upload(thing.mesh) for thing in spec.scene.objects):  # no other machine has it
+            things = (*spec.scene.objects, *spec.scene.fixed)
+            if any(library.has_upload(thing.mesh) for thing in things):  # no other machine has it
                 write_assets(spec.scene, library, lambda name, data: disk.write(folder / name, data))
             return Result(record, _files(folder))
 

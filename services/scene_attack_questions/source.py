@@ -103,7 +103,7 @@ def _check(scene: Scene, record: SceneRecord) -> None:
     same = len(scene.objects) == len(due.objects) and all(
         _is_same(thing, other) for thing, other in zip(scene.objects, due.objects, strict=True)
     )
-    if not same or not _is_seen_from(scene.camera, due.camera):
+    if scene.fixed or not same or not _is_seen_from(scene.camera, due.camera):
         raise InvalidRequest("scene", "its objects and camera are not those of its source; leave them out")
     rows, columns = scene.camera.size
     if not isclose(rows / columns, IMAGE_SIZE[0] / IMAGE_SIZE[1], rel_tol=PROPORTION):

@@ -25,11 +25,10 @@ InvalidRequest.
 """
 Call = Callable[["Request[Any]"], Any]
 """Sends a request to a service and returns its answer, as `Client.call` does."""
+_MESHES = ("objects", "fixed")
 _PLACES = (
-    "scene.objects.*.mesh",
-    "jobs.*.scene.objects.*.mesh",
+    *(f"{scene}.{part}.*.mesh" for scene in ("scene", "jobs.*.scene", "grids.*.scenes.*") for part in _MESHES),
     "grids.*.scenes.meshes.*",
-    "grids.*.scenes.*.objects.*.mesh",
 )
 """Paths of a job's and a campaign's mesh names; a star stands for each item of a list."""
 _NAMED = ("furniture/", "primitive/", "sha256:")

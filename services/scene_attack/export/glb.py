@@ -226,15 +226,15 @@ def scene_glb(scene: ResolvedScene, values: SceneValues, lit_by_map: bool, envir
     """The file. With `lit_by_map` the lights are left out: the image's light is the environment map in the file
     `environment`, which glTF cannot hold."""
     glb = Glb({"units": UNITS, "brdf": BRDFS, "credits": scene.credits(lit_by_map)})
-    for index, (placed, pose, color) in enumerate(zip(scene.placed, values.poses, values.colors, strict=True)):
+    for placed, pose, color in zip(scene.placed, values.poses, values.colors, strict=True):
         parts = []
         for number, part in enumerate(placed.mesh.parts):
             name = f"{placed.name} part {number}"
             mesh = glb.add("meshes", {"name": name, "primitives": [primitive(glb, part, color, EXPOSURE, name)]})
             parts.append(glb.add("nodes", {"name": name, "mesh": mesh}))
         extras: dict[str, Any] = {"sha256": placed.mesh.sha256, "color": color.tolist()}
-        if index < len(scene.description.objects):
-            extras |= {"mesh": scene.description.objects[index].mesh, "credit": placed.mesh.credit}
+        if isinstance(placed.described, SceneObject):
+            extras |= {"mesh": placed.described.mesh, "credit": placed.mesh.credit}
             extras["centimetres_per_unit"] = placed.mesh.centimetres
         _root(glb, {"name": placed.name, "matrix": _matrix(pose), "children": parts, "extras": extras})
     _camera(glb, scene, values.camera)

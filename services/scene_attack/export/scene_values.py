@@ -48,8 +48,8 @@ class LightValues:
 class SceneValues:
     """The values of a scene, before or after an attack.
 
-    poses: world from mesh of all that is drawn, [things, 4, 4], the floor last. colors: linear factors on their base
-    colours [things, 3]. camera: world from camera [4, 4]. ambient: mean radiance of the light from all around.
+    poses: world from mesh of all that is drawn, [things, 4, 4], what is fixed last. colors: linear factors on their
+    base colours [things, 3]. camera: world from camera [4, 4]. ambient: mean radiance of the light from all around.
     """
 
     poses: Doubles

@@ -15,7 +15,7 @@ from torch import Tensor
 from scene_attack.rendering.opengl.camera import CameraMatrices
 from scene_attack.rendering.physical_change import Change, ChangedValue, PhysicalChange, Worded, listed, number
 from scene_attack.rendering.variation import Variation
-from scene_attack.scenes.description import object_names
+from scene_attack.scenes.description import SceneObject, object_names
 from scene_attack.scenes.mesh import FIT_RADIUS, Doubles
 from scene_attack.scenes.resolve import ResolvedScene
 from scene_attack.scenes.view import NEAR, camera_pose, rotation_matrix
@@ -31,8 +31,8 @@ class MovingCamera:
 
     initial: float64 [4]. bounds: lowest and highest value of each coordinate, float64 [4]. Azimuth and roll are free.
     The elevation keeps `POLES` from straight above and below. The distance keeps the camera outside the ball about the
-    origin that holds all objects where the scene has them, and that ball before the far plane. Over a floor it stays
-    above the floor's plane, and the floor stays before the far plane. A scene whose own camera is beyond such a limit
+    origin that holds all objects where the scene has them, and all that is in the scene before the far plane. Over a
+    floor it stays above the floor's plane. A scene whose own camera is beyond such a limit
     has its own value for a limit.
     """
 
@@ -40,9 +40,10 @@ class MovingCamera:
         self._projection = scene.projection
         camera = scene.description.camera
         own = torch.tensor([camera.azimuth, camera.elevation, camera.distance, camera.roll], dtype=torch.float64)
-        radius = max(float(np.linalg.norm(o.translation)) + o.scale * FIT_RADIUS for o in scene.description.objects)
+        objects, fixed = scene.description.objects, scene.description.fixed
+        radius = max(map(_reach, objects))
         far = scene.projection[2, 3] / (scene.projection[2, 2] + 1)
-        steepest, nearest, furthest = pi / 2 - POLES, radius + NEAR, far - radius
+        steepest, nearest, furthest = pi / 2 - POLES, radius + NEAR, far - max(map(_reach, (*objects, *fixed)))
         lowest, floor = -steepest, scene.description.floor
         if floor is not None:
             furthest = min(furthest, far - float(np.linalg.norm((floor.size / 2, floor.height, floor.size / 2))))
@@ -56,6 +57,11 @@ class MovingCamera:
         (clockwise).
         """
         return CameraMatrices.of(camera_pose(*(float(x) for x in camera)), self._projection)
+
+
+def _reach(thing: SceneObject) -> float:
+    """The radius of the ball about the origin that holds a thing."""
+    return float(np.linalg.norm(thing.translation)) + thing.scale * FIT_RADIUS
 
 
 def seen_from(camera: Tensor, variation: Variation) -> Tensor:

@@ -86,8 +86,9 @@ def uploads_in(campaign: CampaignSpec) -> dict[str, str]:
 
 def _add_names(places: dict[str, str], scene: Scene, place: str) -> None:
     places.setdefault(scene.lights.environment.map, f"{place}.lights.environment.map")
-    for k, thing in enumerate(scene.objects):
-        places.setdefault(thing.mesh, f"{place}.objects.{k}.mesh")
+    for part, things in (("objects", scene.objects), ("fixed", scene.fixed)):
+        for k, thing in enumerate(things):
+            places.setdefault(thing.mesh, f"{place}.{part}.{k}.mesh")
 
 
 def samples(campaign: CampaignSpec) -> Iterator[tuple[JobSpec, Places]]:

@@ -288,6 +288,7 @@ def _check_gradient(spec: JobSpec) -> None:
 
 def _check_materials(spec: JobSpec) -> None:
     materials = {f"scene.objects.{k}.material": thing.material for k, thing in enumerate(spec.scene.objects)}
+    materials |= {f"scene.fixed.{k}.material": thing.material for k, thing in enumerate(spec.scene.fixed)}
     if spec.scene.floor is not None:
         materials["scene.floor.material"] = spec.scene.floor.material
     for field, name in materials.items():

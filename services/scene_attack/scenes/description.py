@@ -327,6 +327,12 @@ class Scene(Model):
     )
     camera: Camera = Camera()
     objects: Several[SceneObject] = Field(min_length=1, max_length=16)
+    fixed: Several[SceneObject] = Field(
+        default=(),  # type: ignore[arg-type]
+        max_length=16,
+        exclude_if=operator.not_,
+        description="what else is in the scene, such as the room: drawn and casting shadows, and changed by no attack",
+    )
     floor: Floor | None = Field(
         default=None, exclude_if=absent, description="a floor for the objects to stand on; null: none"
     )

@@ -37,7 +37,7 @@ def write_assets(scene: Scene, library: Library, write: Callable[[str, bytes], N
 
     Raises JobFailure("asset-missing") for an asset whose files are missing or changed.
     """
-    for name in sorted({thing.mesh for thing in scene.objects} | {scene.lights.environment.map}):
+    for name in sorted({thing.mesh for thing in (*scene.objects, *scene.fixed)} | {scene.lights.environment.map}):
         slug = name.partition("/")[2]
         if (archive := library.furniture_archive(name)) is not None:
             write(f"{ASSETS}/furniture/{slug}.sh3f", archive)

@@ -207,10 +207,10 @@ VISIBLE_PIXELS = 1.0
 
 @dataclass(frozen=True, eq=False)
 class PlacedMesh:
-    """A mesh where it is in the scene: one of the objects, or the floor.
+    """A mesh where it is in the scene: one of the objects, something fixed, or the floor.
 
-    name: "object 0", or "floor"; field: its path in a request. model: float64 [4,4], mesh to world. described: the part
-    of the scene's description that it is made of.
+    name: "object 0", "fixed 0" or "floor"; field: its path in a request. model: float64 [4,4], mesh to world.
+    described: the part of the scene's description that it is made of.
     """
 
     name: str
@@ -230,11 +230,11 @@ class ResolvedScene:
     """A scene description with the loaded assets that it names.
 
     meshes, models: one per object, with the surface that the description gives it; models are float64 [4,4], mesh to
-    world. view: float64 [4,4], camera to world. projection: float64 [4,4], OpenGL. environment: float32
-    [rows, cols, 3], linear radiance in the directions of scene_attack.scenes.environment, rotated and averaged down.
-    source_map: the map at full resolution, float32 [h, w, 3], or None if `environment` did not come from a library.
-    map_credit: the map's attribution line, if it has one. sha256: the hex digest of the canonical description and the
-    contents of every mesh and map in it.
+    world. fixed: a mesh for each thing that no attack changes. view: float64 [4,4], camera to world. projection:
+    float64 [4,4], OpenGL. environment: float32 [rows, cols, 3], linear radiance in the directions of
+    scene_attack.scenes.environment, rotated and averaged down. source_map: the map at full resolution, float32 [h, w,
+    3], or None if `environment` did not come from a library. map_credit: the map's attribution line, if it has one.
+    sha256: the hex digest of the canonical description and the contents of every mesh and map in it.
     """
 
     description: Scene
@@ -247,6 +247,7 @@ class ResolvedScene:
     map_credit: str | None
     sha256: str
     source_map: Floats | None = None
+    fixed: tuple[Mesh, ...] = ()
     picture: Doubles | None = None
     """The picture behind the objects, displayed values [H, W, 3] in [0,1]; None if the scene has none."""
     titles: Mapping[str, str] = field(default_factory=dict)
@@ -287,11 +288,15 @@ class ResolvedScene:
 
     @cached_property
     def placed(self) -> tuple[PlacedMesh, ...]:
-        """Everything that is drawn: the objects in their order, then the floor if there is one."""
+        """Everything that is drawn: the objects in their order, what is fixed, and then the floor if there is one."""
         things = self.description.objects
         placed = [
             PlacedMesh(f"object {k}", f"scene.objects.{k}", mesh, model, thing)
             for k, (mesh, model, thing) in enumerate(zip(self.meshes, self.models, things, strict=True))
+        ]
+        placed += [
+            PlacedMesh(f"fixed {k}", f"scene.fixed.{k}", mesh, model_matrix(thing), thing)
+            for k, (mesh, thing) in enumerate(zip(self.fixed, self.description.fixed, strict=True))
         ]
         floor = self.description.floor
         if floor is not None:
@@ -310,7 +315,10 @@ class ResolvedScene:
 
     def credits(self, lit_by_map: bool) -> list[str]:
         """Attribution lines to show with every image of the scene; the map's only if it lights the scene or is seen."""
-        lines = [*(mesh.credit for mesh in self.meshes), self.map_credit if lit_by_map or self.shows_map else None]
+        lines = [
+            *(mesh.credit for mesh in (*self.meshes, *self.fixed)),
+            self.map_credit if lit_by_map or self.shows_map else None,
+        ]
         return list(dict.fromkeys(line for line in lines if line))
 
     @cached_property
@@ -322,16 +330,17 @@ class ResolvedScene:
 def resolve(scene: Scene, library: Library) -> ResolvedScene:
     """Loads the assets that the scene names and computes their transforms.
 
-    Raises InvalidRequest with the path of the invalid field: "scene.objects.0.mesh" for an unknown mesh,
-    "scene.objects.0" for an object outside the frame or smaller than a pixel, "scene.floor" for a floor of which as
-    little can be seen, "scene.lights.environment.map" for an unknown map, "scene.background.image" for what is no image
-    of the camera's size.
+    Raises InvalidRequest with the path of the invalid field: "scene.objects.0.mesh" or "scene.fixed.0.mesh" for an
+    unknown mesh, "scene.objects.0" for an object outside the frame or smaller than a pixel, "scene.floor" for a floor
+    of which as little can be seen, "scene.lights.environment.map" for an unknown map, "scene.background.image" for what
+    is no image of the camera's size.
     """
-    meshes = _meshes(library, scene)
+    everything = _meshes(library, scene)
+    meshes, fixed = everything[: len(scene.objects)], everything[len(scene.objects) :]
     light = scene.lights.environment
     source = _environment(library, scene)
     drawn = scene.model_copy(update={"source": None})  # which says again what the other fields say
-    sha256 = fingerprint(drawn, [*(mesh.sha256 for mesh in meshes), source.sha256])
+    sha256 = fingerprint(drawn, [*(mesh.sha256 for mesh in everything), source.sha256])
     scene = _standing(scene, meshes)
     models = tuple(model_matrix(placed) for placed in scene.objects)
     view = camera_to_world(scene.camera)
@@ -343,6 +352,7 @@ def resolve(scene: Scene, library: Library) -> ResolvedScene:
     return ResolvedScene(
         description=scene,
         meshes=meshes,
+        fixed=fixed,
         models=models,
         view=view,
         projection=lens,
@@ -379,15 +389,18 @@ def fingerprint(description: BaseModel, contents: Sequence[str]) -> str:
 
 
 def _meshes(library: Library, scene: Scene) -> tuple[Mesh, ...]:
-    """The objects' meshes; objects of the same mesh and surface share one, so that it is uploaded once."""
+    """The meshes of the objects, then of what is fixed; those of the same mesh and surface share one, so that it is
+    uploaded once."""
+    things = [(f"scene.objects.{k}", thing) for k, thing in enumerate(scene.objects)]
+    things += [(f"scene.fixed.{k}", thing) for k, thing in enumerate(scene.fixed)]
     meshes: dict[tuple[str, float | None, float | None], Mesh] = {}
-    for k, thing in enumerate(scene.objects):
+    for place, thing in things:
         key = thing.mesh, thing.metallic, thing.roughness
         if key not in meshes:
-            with at_field(f"scene.objects.{k}.mesh"):
+            with at_field(f"{place}.mesh"):
                 mesh = library.mesh(thing.mesh)
             meshes[key] = with_surface(mesh, thing.metallic, thing.roughness)
-    return tuple(meshes[thing.mesh, thing.metallic, thing.roughness] for thing in scene.objects)
+    return tuple(meshes[thing.mesh, thing.metallic, thing.roughness] for _, thing in things)
 
 
 def _environment(library: Library, scene: Scene) -> EnvironmentMap:
@@ -426,10 +439,11 @@ def _lowest(mesh: Mesh, model: Doubles) -> float:
 
 
 def _far(scene: Scene, view: Doubles) -> float:
-    """Returns the distance of a far plane behind all objects, with room for objects that an attack moves, and behind
-    the floor."""
+    """Returns the distance of a far plane behind all that is in the scene, with room for objects that an attack moves,
+    and behind the floor."""
     reach = [
-        float(np.linalg.norm(np.subtract(o.translation, view[:3, 3]))) + o.scale * FIT_RADIUS for o in scene.objects
+        float(np.linalg.norm(np.subtract(o.translation, view[:3, 3]))) + o.scale * FIT_RADIUS
+        for o in (*scene.objects, *scene.fixed)
     ]
     if scene.floor is not None:
         corner = np.array([scene.floor.size / 2, scene.floor.height, scene.floor.size / 2])

@@ -32,7 +32,10 @@ def uploads_of(spec: Mapping[str, Any]) -> dict[str, str]:
     """
     scene = spec["scene"]
     environment = ((scene.get("lights") or {}).get("environment") or {}).get("map") or ""
-    places = {thing["mesh"]: f"scene.objects.{k}.mesh" for k, thing in reversed(list(enumerate(scene["objects"])))}
+    places: dict[str, str] = {}
+    for part in ("objects", "fixed"):
+        for k, thing in enumerate(scene.get(part) or ()):
+            places.setdefault(thing["mesh"], f"scene.{part}.{k}.mesh")
     places.setdefault(environment, "scene.lights.environment.map")
     return {name: place for name, place in places.items() if name.startswith("sha256:")}
 

@@ -154,10 +154,10 @@ class GBuffer:
     """Geometry and base colour of an image. OpenGL draws it on the CPU; `to` copies it elsewhere. Values mean
     nothing where `coverage` is 0 (they are 0).
 
-    normals float32 [H, W, 3], unit, world space, on the viewer's side; coverage float32 [H, W] in [0,1];
-    base_color float32 [H, W, 3], linear; depth float32 [H, W], along the viewing direction, scene units;
-    object_index int64 [H, W], -1 outside; backend names the driver and library versions. fragments: the surfaces of
-    each pixel by themselves, in scenes with a floor; None in others, where a pixel is shaded as its mean surface.
+    normals float32 [H, W, 3], unit, world space, on the viewer's side; coverage float32 [H, W] in [0,1]; base_color
+    float32 [H, W, 3], linear; depth float32 [H, W], along the viewing direction, scene units; object_index int64 [H,
+    W], -1 outside; backend names the driver and library versions. fragments: the surfaces of each pixel by themselves,
+    in scenes with a floor or something fixed; None in others, where a pixel is shaded as its mean surface.
     """
 
     normals: Tensor
@@ -208,9 +208,9 @@ def rasterise(scene: ResolvedScene, drawing: "Drawing | None" = None) -> GBuffer
 
     `drawing` holds the scene's meshes, for a caller that draws many views of them: they are then uploaded once.
 
-    The floor is one more object after the others.
+    What is fixed, and the floor, are more objects after the others.
 
-    Raises InvalidRequest("scene.objects") when no pixel shows an object, or none but the floor.
+    Raises InvalidRequest("scene.objects") when no pixel shows an object, or none but these.
     """
     current = context.current()
     from scene_attack.rendering.opengl.mesh_upload import Drawing
@@ -243,7 +243,7 @@ def rasterise(scene: ResolvedScene, drawing: "Drawing | None" = None) -> GBuffer
         means = average_samples(*samples, count, view.forward)
         for name, tile in means.items():
             images[name][rows, columns] = tile.flip(0)  # OpenGL's first row is the bottom one
-        if scene.description.floor is not None:
+        if len(scene.placed) > len(scene.meshes):
             apart.append(fragments(*samples, means, FACTOR, numbers[rows, columns].flip(0)))
     if not (images["object_index"].ge(0) & images["object_index"].lt(len(scene.meshes))).any():
         raise InvalidRequest("scene.objects", "out of view: no object covers any part of the image")
@@ -256,10 +256,10 @@ def check_in_view(scene: ResolvedScene) -> None:
 
     The scene's triangles are in the frame already. Surfaces that need not show all the same are drawn to find out: glTF
     surfaces that are seen from one side only or through a mask, surfaces with holes or of an opacity below 1, and
-    objects that a floor may hide.
+    objects that a floor or something fixed may hide.
     """
     parts = [part for mesh in scene.meshes for part in mesh.parts]
-    if scene.description.floor is not None or not any(_shows(part) for part in parts):
+    if len(scene.placed) > len(scene.meshes) or not any(_shows(part) for part in parts):
         rasterise(scene)
 
 

@@ -37,7 +37,7 @@ _LIGHTS = (
 class SceneParameters:
     """Values, bounds and meaning of the groups; `PyrenderRenderer` has their shapes and units.
 
-    A floor is drawn with its own colour where it is: no group has a coordinate of it.
+    What is fixed, and a floor, are drawn with their own colours where they are: no group has a coordinate of them.
     """
 
     def __init__(self, resolved: ResolvedScene) -> None:
@@ -121,7 +121,7 @@ class SceneParameters:
         part: Rectangle,
     ) -> RenderPass:
         """A pass that draws images of those illuminations [images, coordinates] and colours [images, objects, 3]; for
-        `poses` see there. The floor's colour is added.
+        `poses` see there. The colours of what is fixed are added.
         """
         kinds, start = [], 1
         for count, (_, words, unit) in zip(self._counts, _LIGHTS, strict=True):
@@ -168,7 +168,7 @@ class SceneParameters:
 
     def poses(self, translations: NDArray[np.float64], rotations: NDArray[np.float64]) -> NDArray[np.float64]:
         """World from object of all that is drawn, [objects, 4, 4]: scaled, turned, moved; of translations and rotations
-        [objects, 3]. The floor's, which stays, is the last.
+        [objects, 3]. Those of what is fixed are the last.
         """
         return np.concatenate([model_matrices(translations, rotations, self._scales), self._fixed_poses])
 

@@ -428,10 +428,10 @@ def _surfaces(drawing: "Drawing", n_objects: int) -> Iterator[Item]:
     if n_given:
         why = "their metallic and roughness are the scene's, by the metallic-roughness BRDF; the others have their own"
         yield Item(what="parts with a given surface", kept=n_given, of=len(pieces), why=why)
-    floor = sum(piece.faces for piece in pieces if piece.index >= n_objects)
-    if floor:
+    fixed = sum(piece.faces for piece in pieces if piece.index >= n_objects)
+    if fixed:
         why = "no coordinate moves or recolours them; every image is drawn with them, for lights and objects do"
-        yield Item(part="floor", what="faces", kept=floor, of=floor, why=why)
+        yield Item(part="fixed", what="faces", kept=fixed, of=fixed, why=why)
 
 
 def _rasterise(rasterised: Rasterised, faces: int) -> Stage:

@@ -156,7 +156,7 @@ class TorchRenderer(DeclaredRenderer):
         # Round to float32 whatever the dtype, so that the exact twin renders the same scene.
         rounded = {group: value.to(self._device, torch.float32).double() for group, value in initial.items()}
         self._initial = {group: value.to(dtype) for group, value in rounded.items()}
-        # The floor, which is last, is no object: its material is no value of the group.
+        # What is fixed, and the floor, are last and no objects: their materials are no values of the group.
         self._initial["material"], self._fixed = self._initial["material"].tensor_split([n_objects])
 
         if seen is None:

@@ -164,7 +164,7 @@ def test_the_plan_names_floor_and_given_surfaces(library: Library) -> None:
     described = scene(BALL | {"metallic": 1.0}, BALL, floor=UNDER)
     items = {item.what: item for item in PyrenderRenderer(resolve(described, library)).plan.items}
     assert (items["parts with a given surface"].kept, items["parts with a given surface"].of) == (1, 3)
-    assert items["faces"].part == "floor"
+    assert items["faces"].part == "fixed"
     assert "parts with a given surface" not in {
         item.what for item in PyrenderRenderer(resolve(scene(BALL), library)).plan.items
     }
