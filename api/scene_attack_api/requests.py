@@ -155,7 +155,8 @@ class _Unparsed:
 def body_of(model: type[Parsed]) -> Callable[..., Parsed]:
     """Returns a dependency that parses the body. It answers 422 as if the framework had parsed the body.
 
-    Of a body that is invalid, the names in it that there are not are invalid, too.
+    What follows from a scene's file is filled in. Of a body that is invalid, the names in it that there are not are
+    invalid, too.
     """
 
     def parsed(
@@ -164,7 +165,7 @@ def body_of(model: type[Parsed]) -> Callable[..., Parsed]:
         if is_nested_deeper(data):
             raise BadRequestField(InvalidRequest("body", NESTED))
         try:
-            return model.model_validate(data)
+            return model.model_validate(data, context={"scene": names_of(services, caller)["scene"]})
         except ValidationError as error:
             items = _with_names(data, model, error, names_of(services, caller)).errors(include_url=False)
             raise RequestValidationError([item | {"loc": ("body", *item["loc"])} for item in items]) from error

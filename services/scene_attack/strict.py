@@ -208,9 +208,10 @@ def json_mistake(error: Exception) -> str:
     return shortened(error)
 
 
-Kind = Literal["mesh", "map", "material", "target"]
-Names = Mapping[Kind, Callable[[str], object]]
-"""A context of a validation: functions that raise InvalidRequest for a name of the kind that there is not."""
+Kind = Literal["mesh", "map", "material", "target", "scene"]
+Names = Mapping[Kind, Callable[[str], Any]]
+"""A context of a validation: functions that raise InvalidRequest for a name of the kind that there is not. That of
+"scene" returns the scene in the upload of the name. Kinds that are left out are not looked up."""
 UNKNOWN = "unknown_name"
 """The type of the error in pydantic's list."""
 
@@ -219,7 +220,7 @@ def reference(kind: Kind) -> AfterValidator:
     """Returns the annotation of a text that names something of a kind."""
 
     def check(value: str, info: ValidationInfo) -> str:
-        if info.context:
+        if info.context and kind in info.context:
             try:
                 info.context[kind](value)
             except InvalidRequest as error:

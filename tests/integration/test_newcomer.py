@@ -57,7 +57,7 @@ def test_a_source_of_a_plug_in_that_is_left_out_is_explained(tmp_path: Path) -> 
     spec = ROOT / "examples" / "vqa-torch.json"
     done = process("--without-plugin", "questions", "run", str(spec), "--out", str(tmp_path / "out"))
     assert done.returncode == 2
-    assert "scene.source: no installed plug-in has a format of scenes" in done.stderr
+    assert "scene.source.format: there is no 'clevr'; there are file" in done.stderr
     assert "target.ask: no installed task has this field" in done.stderr
 
 

@@ -25,9 +25,9 @@ InvalidRequest.
 """
 Call = Callable[["Request[Any]"], Any]
 """Sends a request to a service and returns its answer, as `Client.call` does."""
-_MESHES = ("objects", "fixed")
+_OF_A_SCENE = ("source.file", "objects.*.mesh", "fixed.*.mesh")
 _PLACES = (
-    *(f"{scene}.{part}.*.mesh" for scene in ("scene", "jobs.*.scene", "grids.*.scenes.*") for part in _MESHES),
+    *(f"{scene}.{part}" for scene in ("scene", "jobs.*.scene", "grids.*.scenes.*") for part in _OF_A_SCENE),
     "grids.*.scenes.meshes.*",
 )
 """Paths of a job's and a campaign's mesh names; a star stands for each item of a list."""

@@ -4,7 +4,7 @@ bounds, and changes in words: "moved 4.2 cm right", "turned 6.5°".
 Right, left, up and down are those of the unperturbed image; towards and away are along the camera's line of sight.
 """
 
-from math import asin, degrees, inf, pi
+from math import asin, degrees, inf, isclose, pi
 from typing import NamedTuple
 
 import numpy as np
@@ -88,14 +88,15 @@ class Length(NamedTuple):
 def lengths(scene: ResolvedScene) -> tuple[list[Length], Length]:
     """The unit of length of each object, and that of lights and camera.
 
-    It is the centimetre where the mesh's real size is known, else the scene unit. With several objects that is known
-    for each object, but not for lights and camera, since every mesh is scaled to the same size.
+    It is the centimetre where the mesh's real size is known, else the scene unit. Several objects of a library are each
+    of another scale, so that it is not known for lights and camera; those of one file have the file's scale.
     """
     own = [
         Length() if mesh.centimetres is None else Length("cm", mesh.centimetres / placed.scale)
         for mesh, placed in zip(scene.meshes, scene.description.objects, strict=True)
     ]
-    return own, own[0] if len(own) == 1 else Length()
+    same = all(one.unit == own[0].unit and isclose(one.scale, own[0].scale, rel_tol=1e-6) for one in own)
+    return own, own[0] if same else Length()
 
 
 def poses(scene: ResolvedScene, group: str, initial: Doubles, change: Doubles) -> list[Worded]:

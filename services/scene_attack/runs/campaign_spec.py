@@ -240,7 +240,7 @@ class Grid(Model):
     @field_validator("goal")
     @classmethod
     def _known_labels(cls, value: Goal, info: ValidationInfo) -> Goal:
-        if info.context:
+        if info.context and "target" in info.context:
             check_labels(value, info.data.get("targets", ()))
         return value
 

@@ -9,6 +9,7 @@ from scene_attack.runs.campaign_plan import job_of
 from scene_attack.runs.campaign_spec import CampaignSpec, Grid, SceneGrid
 from scene_attack.runs.spec import JobSpec
 from scene_attack.scenes.description import Scene
+from scene_attack.scenes.scene_file import upload_of
 
 Places = Mapping[str, str]
 """The path in the campaign of each part of a job, e.g. {"attack": "grids.0.attacks.2.attack"}; "" is the rest."""
@@ -81,7 +82,11 @@ def uploads_in(campaign: CampaignSpec) -> dict[str, str]:
             _add_names(places, scene, f"grids.{g}.scenes.{s}")
     for j, job in enumerate(campaign.jobs):
         _add_names(places, job.scene, f"jobs.{j}.scene")
-    return {name: place for name, place in places.items() if name.startswith("sha256:")}
+    uploads: dict[str, str] = {}
+    for name, place in places.items():
+        if name.startswith("sha256:"):
+            uploads.setdefault(upload_of(name), place)
+    return uploads
 
 
 def _add_names(places: dict[str, str], scene: Scene, place: str) -> None:

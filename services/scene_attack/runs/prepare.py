@@ -30,7 +30,7 @@ from scene_attack.rendering.torch.declaration import TORCH, check_preset
 from scene_attack.rendering.torch.renderer import smallest_map
 from scene_attack.rendering.variation import STILL, moved, varied
 from scene_attack.runs import classification
-from scene_attack.runs.result import JobPlan
+from scene_attack.runs.result import JobPlan, JobWarning
 from scene_attack.runs.spec import AskedGoal, JobSpec, asked_goal
 from scene_attack.runs.task import Settled, Task
 from scene_attack.runs.task_parts import TASKS, Part, models_of
@@ -161,6 +161,7 @@ def _prepare(spec: JobSpec, library: Library, tolerance: Tolerance) -> Prepared:
     saved = to_bytes(exact).cpu()
     original = ScoredImage(exact, saved, verifier.logits(saved))
     settled = task.settle(original.saved, original.logits)
+    settled = replace(settled, warnings=(*settled.warnings, *_left_out(spec)))
     check_loss(spec.attack.objective, settled.goal, len(target.labels))
     return Prepared(
         spec=spec.model_copy(update={"goal": settled.spec}),
@@ -175,6 +176,11 @@ def _prepare(spec: JobSpec, library: Library, tolerance: Tolerance) -> Prepared:
         limits=limits,
         constraint=constraint,
     )
+
+
+def _left_out(spec: JobSpec) -> Iterator[JobWarning]:
+    for phrase in () if spec.scene.source is None else spec.scene.source.left_out():
+        yield JobWarning(code="left-out", field="scene.source", text=f"not shown of the scene's source: {phrase}")
 
 
 def _limits(attack: Attack, renderer: Renderer, constraint: Constraint | None) -> Limits:

@@ -28,7 +28,7 @@ class JobWarning(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    code: Literal["already-wrong", "truth-unknown", "low-confidence"]
+    code: Literal["already-wrong", "truth-unknown", "low-confidence", "left-out"]
     field: str = Field(description="the field of the request that it is about, e.g. `goal.truth`")
     text: str
 

@@ -38,6 +38,7 @@ from scene_attack.runs.field_errors import invalid_fields
 from scene_attack.runs.task_parts import AnyAsk, Ask
 from scene_attack.scenes.description import Scene
 from scene_attack.scenes.library import Library
+from scene_attack.scenes.scene_file import upload_of
 from scene_attack.strict import Model, Names, absent, reference, unknown_parts
 from scene_attack.targets.download import check_obtainable
 from scene_attack.targets.info import LONGEST_LABEL, TARGETS, TargetInfo
@@ -210,7 +211,7 @@ class JobSpec(Model):
     @field_validator("goal")
     @classmethod
     def _known_labels(cls, value: Goal, info: ValidationInfo) -> Goal:
-        if info.context and "target" in info.data:
+        if info.context and "target" in info.context and "target" in info.data:
             check_labels(value, [info.data["target"]])
         return value
 
@@ -383,6 +384,7 @@ def names_in(
         "map": cache(lambda name: library.check_map(name, may_use)),
         "material": check_preset,
         "target": cache(check_obtainable),
+        "scene": cache(lambda name: library.scene(name, may_use)),
     }
 
 
@@ -440,7 +442,10 @@ def attack_name(spec: Mapping[str, Any]) -> str:
 
 
 def _mesh_name(mesh: str, titles: Mapping[str, str]) -> str:
-    return titles.get(mesh, mesh[:14]) if mesh.startswith("sha256:") else mesh.rpartition("/")[2]
+    if not mesh.startswith("sha256:"):
+        return mesh.rpartition("/")[2]
+    upload = upload_of(mesh)  # of a node of a scene, whose number ends the name
+    return titles.get(mesh) or titles.get(upload, upload[:14]) + mesh.removeprefix(upload)
 
 
 SENT_IMAGE = "image"

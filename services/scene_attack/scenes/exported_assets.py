@@ -18,6 +18,7 @@ from scene_attack.options import Options
 from scene_attack.scenes.bundle import About, bundle_of
 from scene_attack.scenes.description import Scene
 from scene_attack.scenes.library import Library
+from scene_attack.scenes.scene_file import upload_of
 from scene_attack.scenes.uploads import max_unpacked
 
 ASSETS = "assets"
@@ -37,7 +38,9 @@ def write_assets(scene: Scene, library: Library, write: Callable[[str, bytes], N
 
     Raises JobFailure("asset-missing") for an asset whose files are missing or changed.
     """
-    for name in sorted({thing.mesh for thing in (*scene.objects, *scene.fixed)} | {scene.lights.environment.map}):
+    for name in sorted(
+        {upload_of(thing.mesh) for thing in (*scene.objects, *scene.fixed)} | {scene.lights.environment.map}
+    ):
         slug = name.partition("/")[2]
         if (archive := library.furniture_archive(name)) is not None:
             write(f"{ASSETS}/furniture/{slug}.sh3f", archive)

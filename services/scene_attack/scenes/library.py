@@ -4,6 +4,7 @@ import re
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterable
+from hashlib import sha256
 from pathlib import Path
 from typing import Literal
 
@@ -16,9 +17,10 @@ from scene_attack.scenes import environment
 from scene_attack.scenes.bundle import Bundle
 from scene_attack.scenes.environment import FILE_KINDS, EnvironmentMap, read_file, uniform
 from scene_attack.scenes.furniture import Model, archive_of, load_model, read_catalogue, read_icon
-from scene_attack.scenes.mesh import Mesh
+from scene_attack.scenes.mesh import FIT_RADIUS, Mesh, fitted
 from scene_attack.scenes.primitives import PRIMITIVES, primitive
-from scene_attack.scenes.uploads import Upload, Uploads, is_map
+from scene_attack.scenes.scene_file import SceneFile, node_of, parts_named, upload_of, with_known_meshes
+from scene_attack.scenes.uploads import SCENE_KINDS, Upload, Uploads, is_map
 from scene_attack.text import did_you_mean
 
 
@@ -141,7 +143,8 @@ class Library:
         return type(self), self._places
 
     def mesh(self, name: str) -> Mesh:
-        """Returns the mesh of that name: `furniture/<slug>`, `primitive/<name>` or `sha256:<hex>` of an upload.
+        """Returns the mesh of that name: `furniture/<slug>`, `primitive/<name>`, `sha256:<hex>` of an upload, or a part
+        of the scene in one (`scene_file.mesh_of_node`, `mesh_of_rest`).
 
         Raises InvalidRequest("mesh", …) for an unknown name, with close matches, and JobFailure("asset-missing") if
         its file is damaged.
@@ -157,13 +160,38 @@ class Library:
                 self._meshes.popitem(last=False)
         return mesh
 
+    def scene(self, name: str, may_use: Callable[[str], bool] = lambda _: True) -> SceneFile:
+        """Returns the scene in an uploaded file, `sha256:<hex>`.
+
+        Raises InvalidRequest("file", …) for another name, an upload for whose name `may_use` is false, and a file that
+        has no scene or none that can be used.
+        """
+        record = self._record(name) if may_use(name) else None
+        if record is None:
+            raise InvalidRequest(
+                "file", f"there is no upload {name!r}; give a path such as ./room.glb, or add the file"
+            )
+        scene = self._uploads.load_scene(record)
+        if scene is None and record.kind in SCENE_KINDS:
+            raise InvalidRequest("file", "it was added by a version that read no scenes; add it again")
+        if scene is None:
+            raise InvalidRequest("file", f"a {record.kind} file holds no scene; {' and '.join(SCENE_KINDS)} files do")
+        if scene.unusable:
+            raise InvalidRequest("file", f"it is a mesh, but no scene: {scene.unusable}")
+        return with_known_meshes(scene, name, lambda mesh: self.entry(mesh) is not None)
+
     def check_mesh(self, name: str, may_use: Callable[[str], bool] = lambda _: True) -> None:
         """Raises InvalidRequest("mesh", …) as `mesh` does for an unknown name, without reading a known one's file.
 
         An upload for whose name `may_use` is false is unknown, too.
         """
-        if (_UPLOAD.fullmatch(name) and not may_use(name)) or self.entry(name) is None:
+        upload = upload_of(name)
+        if (_UPLOAD.fullmatch(upload) and not may_use(upload)) or self.entry(upload) is None:
             raise self._unknown_mesh(name)
+        if upload != name and not parts_named(name, self.scene(upload)):
+            raise InvalidRequest(
+                "mesh", f"there is nothing to draw of {name!r}: its file has no such node with triangles"
+            )
 
     def check_map(self, name: str, may_use: Callable[[str], bool] = lambda _: True) -> None:
         """Raises InvalidRequest("environment", …) as `environment` does for an unknown name, without reading its file.
@@ -180,13 +208,21 @@ class Library:
             raise InvalidRequest("environment", f"there is no environment map {name!r}{hint}")
 
     def has_upload(self, name: str) -> bool:
-        """Whether there is an uploaded mesh of that name, `sha256:<hex>`."""
+        """Whether there is an uploaded mesh of that name, `sha256:<hex>`, or of a part of its scene."""
         return self._record(name) is not None
 
     def titles(self, names: Iterable[str]) -> dict[str, str]:
-        """The titles that people gave uploads, by name; `names` may have others, which are left out."""
-        records = ((name, self._record(name)) for name in names)
-        return {name: record.about.title for name, record in records if record is not None and record.about.title}
+        """The titles that people gave uploads, and the names of the nodes of scenes, by name; `names` may have others,
+        which are left out."""
+        found = {}
+        for name in names:
+            node, record = node_of(name), self._record(name)
+            scene = None if record is None or node is None else self._uploads.load_scene(record)
+            if scene is not None and node is not None and node < len(scene.nodes):
+                found[name] = scene.nodes[node].name
+            elif record is not None and record.about.title is not None:
+                found[name] = record.about.title
+        return {name: title for name, title in found.items() if title}
 
     def upload(self, name: str) -> Bundle | None:
         """Returns an upload as it was sent, a mesh or a map; None for a name that is no upload's.
@@ -295,8 +331,9 @@ class Library:
         return {path.stem: path for path in files if path.stem != UNIFORM.name}
 
     def _record(self, name: str) -> Upload | None:
-        """The metadata of an upload, `sha256:<hex>`; None for another name, and for one that is not there."""
-        upload = _UPLOAD.fullmatch(name)
+        """The metadata of an upload, `sha256:<hex>`, or of the one that a part of a scene is of; None for another name,
+        and for one that is not there."""
+        upload = _UPLOAD.fullmatch(upload_of(name))
         return None if upload is None else self._uploads.record(upload[1])
 
     def _load(self, name: str) -> Mesh:
@@ -306,10 +343,29 @@ class Library:
         if (upload := self._record(name)) is not None:
             if is_map(upload.kind):
                 raise InvalidRequest("mesh", f"{name!r} is an environment map, for lights.environment.map")
-            return self._uploads.load(upload)
+            whole = self._uploads.load(upload)
+            return whole if name == upload_of(name) else self._part_of_scene(name, whole)
         if (model := self._model(name)) is not None:
             return load_model(model, self._processed)
         raise self._unknown_mesh(name)
+
+    def _part_of_scene(self, name: str, whole: Mesh) -> Mesh:
+        """The mesh of a node, fitted, or of all but some nodes, in the frame of the whole file's mesh."""
+        scene = self.scene(upload_of(name))
+        numbers = parts_named(name, scene)
+        if not numbers or scene.extent is None:
+            raise self._unknown_mesh(name)
+        parts = tuple(whole.parts[k] for k in numbers)
+        node = node_of(name)
+        extent = scene.extent if node is None else scene.nodes[node].extent
+        if extent is None:
+            raise InvalidRequest("mesh", f"all vertices of {name!r} are at one point")
+        return Mesh(
+            parts=parts if node is None else fitted(parts),
+            sha256=sha256(f"{name} {whole.sha256}".encode()).hexdigest(),
+            credit=whole.credit,
+            centimetres=100 * extent.radius / FIT_RADIUS,
+        )
 
     def _unknown_mesh(self, name: str) -> InvalidRequest:
         """The error for a name that is none. It suggests no upload, which may be somebody else's."""

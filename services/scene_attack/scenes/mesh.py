@@ -146,14 +146,21 @@ def check_size(max_faces: int, triangles: int, vertices: int = 0) -> None:
             )
 
 
+def ball(parts: tuple[Part, ...]) -> tuple[Doubles, Doubles, float]:
+    """Returns the lowest and highest corner of the parts' bounding box [3], and the radius of the ball about its middle
+    that holds all vertices."""
+    points = np.concatenate([part.vertices for part in parts]).astype(np.float64)
+    low, high = points.min(axis=0), points.max(axis=0)
+    return low, high, float(np.sqrt(((points - (low + high) / 2) ** 2).sum(axis=1).max()))
+
+
 def fitted(parts: tuple[Part, ...]) -> tuple[Part, ...]:
     """Translates and uniformly scales the parts together so that they fit the frame (see `Mesh`).
 
     Raises Unreadable if all vertices are at the same point.
     """
-    points = np.concatenate([part.vertices for part in parts]).astype(np.float64)
-    centre = (points.min(axis=0) + points.max(axis=0)) / 2
-    radius = float(np.sqrt(((points - centre) ** 2).sum(axis=1).max()))
+    low, high, radius = ball(parts)
+    centre = (low + high) / 2
     if not radius > 0:
         raise Unreadable("all vertices are at one point")
     scale = FIT_RADIUS / radius

@@ -1,12 +1,12 @@
 """A scene as another program describes it, `scene.source`: the fields of the scene follow from it.
 
-A format is a model that is registered under its name (`register_source`); plug-ins add them.
+A format is a model that is registered under its name (`register_source`): "file" is ours, and plug-ins add others.
 """
 
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self, TypeVar
 
 from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler, ValidationInfo
@@ -35,6 +35,10 @@ class Source(Model):
     def follows(self) -> dict[str, Any]:
         """Returns the fields of the `Scene` that follow. Raises InvalidRequest, which names a field of the source."""
 
+    def left_out(self) -> Sequence[str]:
+        """Returns what of the source is not in the scene, a phrase each; a job has a warning of each."""
+        return ()
+
     @abstractmethod
     def check(self, scene: Any) -> None:
         """Checks the `Scene` that a request gives beside its source.
@@ -43,7 +47,7 @@ class Source(Model):
         """
 
 
-SOURCES: Registry[type[Source]] = Registry("format of scenes", [])
+SOURCES: Registry[type[Source]] = Registry("format of scenes", ["scene_attack.scenes.file_source"])
 
 AnySourceType = TypeVar("AnySourceType", bound=type[Source])
 
@@ -69,8 +73,6 @@ class _Registered:
             if not isinstance(data, Mapping):
                 raise ValueError("must be an object with a `format`")
             name = data.get("format")
-            if not SOURCES:
-                raise ValueError("no installed plug-in has a format of scenes; leave it out, and describe the scene")
             if not isinstance(name, str) or name not in SOURCES:
                 raise ValueError(f"format: there is no {name!r}; {there_are(str(name), SOURCES)}")
             return SOURCES[name].model_validate(data, context=info.context)  # its errors become those of the field

@@ -12,7 +12,7 @@ from io import BytesIO
 from pathlib import Path
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from scene_attack import disk
 from scene_attack.blobs import Blobs
@@ -22,13 +22,16 @@ from scene_attack.scenes.bundle import MAP_KINDS, NOTHING_SAID, PARSER, SIGNATUR
 from scene_attack.scenes.environment import EnvironmentMap, radiance_of
 from scene_attack.scenes.mesh import Mesh
 from scene_attack.scenes.reading.isolated import Report, reader
+from scene_attack.scenes.scene_file import SceneFile
 from scene_attack.scenes.store import load_parts, mesh_path, save_parts
+from scene_attack.strict import absent
 
 
 class Upload(BaseModel):
     """Metadata of an uploaded mesh, stored beside it as JSON. `size` is in bytes.
 
-    sha256: the name, see `Bundle.sha256`. mesh_sha256: the SHA-256 of the file of what was parsed.
+    sha256: the name, see `Bundle.sha256`. mesh_sha256: the SHA-256 of the file of what was parsed. scene_sha256: that
+    of the scene in it; None if its format has none, or it was stored before scenes were read.
     """
 
     model_config = ConfigDict(frozen=True)
@@ -44,11 +47,16 @@ class Upload(BaseModel):
     """Files and their features that the mesh shows."""
     notes: tuple[str, ...] = ()
     """Features that the mesh does not show, and files that are missing."""
+    scene_sha256: str | None = Field(default=None, exclude_if=absent)
 
 
 def max_unpacked(limits: Options) -> int:
     """Largest size of all files of an upload together, unpacked, bytes. The request body has a limit of its own."""
     return 4 * limits.max_upload_bytes
+
+
+SCENE_KINDS = ("glb", "gltf")
+"""Kinds of mesh files that may hold a whole scene."""
 
 
 def is_map(kind: str) -> bool:
@@ -76,9 +84,9 @@ def _read_map(bundle: Bundle, kept: Path) -> tuple[int, Report]:
 class Uploads:
     """The uploaded meshes in one place.
 
-    `<sha256>` has the bytes (`Bundle.stored`), `<sha256>.npz` what was parsed, `<sha256>.json` an `Upload`, and
-    `<sha256>.png` a thumbnail once one was made. `processed` is a cache of the parsed meshes, which may be deleted at
-    any time.
+    `<sha256>` has the bytes (`Bundle.stored`), `<sha256>.npz` what was parsed, `<sha256>.scene` the `SceneFile` of a
+    file that has one, `<sha256>.json` an `Upload`, and `<sha256>.png` a thumbnail once one was made. `processed` is a
+    cache of the parsed meshes, which may be deleted at any time.
     """
 
     def __init__(self, files: Blobs, processed: Path) -> None:
@@ -97,11 +105,12 @@ class Uploads:
             raise InvalidRequest("file", f"it has {bundle.size:,} bytes; at most {most:,} are taken")
         sha256 = bundle.sha256
         known = self.record(sha256)
-        if known is not None:
+        if known is not None and (known.scene_sha256 or known.kind not in SCENE_KINDS):
             return known
         kept = self._kept(sha256)
         triangles, report = _read_map(bundle, kept) if is_map(bundle.kind) else _read_mesh(bundle, kept, limits)
         parsed = kept.read_bytes()
+        scene = None if report.scene is None else report.scene.model_dump_json().encode()
         record = Upload(
             sha256=sha256,
             kind=bundle.kind,
@@ -112,10 +121,13 @@ class Uploads:
             about=bundle.about,
             used=report.used,
             notes=report.dropped,
+            scene_sha256=None if scene is None else hashlib.sha256(scene).hexdigest(),
         )
         # The metadata is written last, so that every listed upload is complete.
         self._files.write(sha256, bundle.stored())
         self._files.write(f"{sha256}.npz", parsed)
+        if scene is not None:
+            self._files.write(f"{sha256}.scene", scene)
         self._files.write(f"{sha256}.json", record.model_dump_json().encode())
         return record
 
@@ -153,7 +165,13 @@ class Uploads:
 
     def remove(self, sha256: str) -> None:
         """Removes the files of the upload with this digest, those that there are. Nobody may be about to add it."""
-        for ending in (".json", ".npz", ".png", ""):  # the metadata first, so that every listed upload is complete
+        for ending in (
+            ".json",
+            ".npz",
+            ".scene",
+            ".png",
+            "",
+        ):  # the metadata first, so that every listed upload is complete
             self._files.delete(f"{sha256}{ending}")
         self._kept(sha256).unlink(missing_ok=True)
 
@@ -172,6 +190,13 @@ class Uploads:
         if parts is None:
             raise JobFailure("asset-missing", f"the parsed mesh of the upload {upload.sha256} cannot be read any more")
         return Mesh(parts=parts, sha256=upload.sha256, credit=upload.about.credit)
+
+    def load_scene(self, upload: Upload) -> SceneFile | None:
+        """Returns the scene of an upload; None if it was stored without one. Raises JobFailure("asset-missing") as
+        `load` does."""
+        if upload.scene_sha256 is None:
+            return None
+        return SceneFile.model_validate_json(self._read(f"{upload.sha256}.scene", upload.scene_sha256, upload))
 
     def load_map(self, upload: Upload) -> EnvironmentMap:
         """Returns an uploaded environment map. Raises JobFailure("asset-missing") if its file is missing or changed."""

@@ -19,6 +19,7 @@ from sqlalchemy.sql.elements import ColumnElement
 from scene_attack.errors import InUse, InvalidRequest
 from scene_attack.runs.spec import scene_name
 from scene_attack.scenes.library import Library
+from scene_attack.scenes.scene_file import upload_of
 from scene_attack_service.jobs.database import Database, insert, now
 from scene_attack_service.jobs.models import Asset, Campaign, CampaignAsset, Job, JobAsset, JobKind, State
 
@@ -37,7 +38,11 @@ def uploads_of(spec: Mapping[str, Any]) -> dict[str, str]:
         for k, thing in enumerate(scene.get(part) or ()):
             places.setdefault(thing["mesh"], f"scene.{part}.{k}.mesh")
     places.setdefault(environment, "scene.lights.environment.map")
-    return {name: place for name, place in places.items() if name.startswith("sha256:")}
+    uploads: dict[str, str] = {}
+    for name, place in places.items():
+        if name.startswith("sha256:"):
+            uploads.setdefault(upload_of(name), place)
+    return uploads
 
 
 def hold(session: Session, names: Iterable[str], *, to_change: bool = False) -> frozenset[str]:

@@ -24,8 +24,10 @@ from scene_attack.scenes.image_file import open_texture
 from scene_attack.scenes.mesh import Part, TooLarge, check_size
 from scene_attack.scenes.reading.companion_files import CompanionFiles, check_xml, decoded, texture_name
 from scene_attack.scenes.reading.gltf import READ_EXTENSIONS, GltfFile, check_glb, check_gltf, read_gltf
+from scene_attack.scenes.reading.gltf_scene import read_scene
 from scene_attack.scenes.reading.isolated import Report, listed
 from scene_attack.scenes.reading.surfaces import MAX_TEXTURE, read_opacity, read_surfaces, to_parts
+from scene_attack.scenes.scene_file import SceneFile
 
 _SIZES = {
     **dict.fromkeys(("char", "uchar", "int8", "uint8"), 1),
@@ -205,6 +207,9 @@ KINDS = tuple(CHECKS)
 """The file kinds that are read."""
 
 
+_TURNED = "it was added with +z up; in the scene of a glTF file +y is up"
+
+
 def read_mesh(
     data: bytes,
     kind: str,
@@ -212,16 +217,19 @@ def read_mesh(
     beside: CompanionFiles | None = None,
     up: Up | None = None,
     note: Callable[[str], None] = lambda _: None,
+    tell: Callable[[SceneFile], None] = lambda _: None,
 ) -> tuple[Part, ...]:
     """Returns the parts of a mesh file, fitted to the frame. `kind` is an element of KINDS; `beside` has the materials
     and textures that it may name. `up` is the file's axis that points up; None: as its format says.
-    `note` is given what its coordinates have lost (`rounding_note`).
+    `note` is given what its coordinates have lost (`rounding_note`), `tell` the scene of a format that has one.
 
     Raises InvalidRequest("kind", …) for an unknown kind, and InvalidRequest("file", …) if the bytes are not of that
     kind, declare more data than they hold, cannot be parsed, have no triangles or more than `max_faces`, have vertices
     that are not finite, or have no area, or if a texture is no image.
     """
-    parts = _parts(data, kind, max_faces, beside or CompanionFiles({}), note)
+    turned = up == "z" and kind in ("glb", "gltf")
+    told = (lambda _: tell(SceneFile(unusable=_TURNED))) if turned else tell
+    parts = _parts(data, kind, max_faces, beside or CompanionFiles({}), note, told)
     return upright(parts) if up == "z" or (up is None and is_z_up(data, kind)) else parts
 
 
@@ -235,7 +243,12 @@ def check_packages(kind: str) -> None:
 
 
 def _parts(
-    data: bytes, kind: str, max_faces: int, beside: CompanionFiles, note: Callable[[str], None]
+    data: bytes,
+    kind: str,
+    max_faces: int,
+    beside: CompanionFiles,
+    note: Callable[[str], None],
+    tell: Callable[[SceneFile], None],
 ) -> tuple[Part, ...]:
     if kind not in CHECKS:
         raise InvalidRequest("kind", f"{kind!r} meshes are not read; one of {', '.join(KINDS)} is")
@@ -248,7 +261,7 @@ def _parts(
         with np.errstate(all="ignore"):
             if kind in ("glb", "gltf"):
                 file = GltfFile(data.removeprefix(b"\xef\xbb\xbf"), beside)
-                return read_gltf(file, max_faces, note)
+                return read_gltf(file, max_faces, note, lambda placement: tell(read_scene(file, placement)))
             beside.check()
             text = decoded(data).encode() if kind in ("obj", "off") else _in_doubles(data) if kind == "ply" else data
             scene = trimesh.load_scene(BytesIO(text), file_type=kind, resolver=beside, process=False)

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, fields
 from math import inf, isfinite
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,7 @@ from scene_attack.scenes.mesh import (
     MetallicRoughness,
     Part,
     TextureMap,
+    ball,
     check_size,
     fitted,
 )
@@ -440,39 +441,70 @@ def check_elements(file: GltfFile, max_faces: int) -> None:
     check_size(max_faces, corners // 3, vertices // 8)
 
 
-def read_gltf(file: GltfFile, max_faces: int, note: Callable[[str], None] = lambda _: None) -> tuple[Part, ...]:
+class PlacedNode(NamedTuple):
+    """A node of a file's scene: its number in the file and its properties, the place of its parent among the nodes, or
+    None, and its world matrix [4,4]."""
+
+    number: int
+    entry: dict[str, Any]
+    parent: int | None
+    transform: Doubles
+
+
+class Placement(NamedTuple):
+    """Where a file's parts are: its nodes, the place of each part's node among them, the parts fitted to the frame,
+    and the middle [3] and radius of the ball that holds them, in metres."""
+
+    nodes: list[PlacedNode]
+    owners: list[int]
+    parts: tuple[Part, ...]
+    centre: Doubles
+    radius: float
+
+
+def read_gltf(
+    file: GltfFile,
+    max_faces: int,
+    note: Callable[[str], None] = lambda _: None,
+    place: Callable[[Placement], None] = lambda _: None,
+) -> tuple[Part, ...]:
     """Returns the parts of a file's scene, fitted to the frame; alpha-blended parts come last. `note` is given what
-    is not shown.
+    is not shown, `place` where the parts are in the file.
 
     Raises Unreadable, which names the element of the file, for invalid elements (`GltfFile`, `read_material`), for
     vertices that are not finite or beyond MAX_COORDINATE, and for no triangle with an area; TooLarge for more than
     `max_faces` triangles.
     """
     check_elements(file, max_faces)
-    placed = list(_instances(file))
+    nodes = list(_placed_nodes(file))
+    placed = [(k, node.entry["mesh"], node.transform) for k, node in enumerate(nodes) if "mesh" in node.entry]
     primitives: dict[int, list[_Primitive]] = {}
     textures = Textures()
     materials: dict[Any, Material] = {}
     count = 0
-    for index, _ in placed:
+    for _, index, _ in placed:
         if index not in primitives:
             read = (_primitive(file, *entry) for entry in file.primitives(index))
             primitives[index] = [primitive for primitive in read if primitive is not None]
         count += sum(len(primitive.faces) for primitive in primitives[index])
     check_size(max_faces, count)
-    parts = []
-    if (total := sum(len(primitives[index]) for index, _ in placed)) > MAX_PARTS:
+    parts: list[_Primitive] = []
+    owners: list[int] = []
+    if (total := sum(len(primitives[index]) for _, index, _ in placed)) > MAX_PARTS:
         raise Unreadable(f"its scene has {total:,} primitives; at most {MAX_PARTS:,} are taken")
-    for index, transform in placed:
+    for owner, index, transform in placed:
         for primitive in primitives[index]:
             key = primitive.material
             if key not in materials:
                 materials[key] = read_material(file, key, textures)
             parts.append(primitive.placed(transform))
+            owners.append(owner)
     if not parts:
         raise Unreadable("it has no triangles")
     _check_texels([materials[primitive.material] for primitive in parts])
-    return _parts(parts, [materials[primitive.material] for primitive in parts], note)
+    placement = _fitted(nodes, parts, owners, [materials[primitive.material] for primitive in parts], note)
+    place(placement)
+    return placement.parts
 
 
 class _Primitive:
@@ -504,8 +536,8 @@ class _Primitive:
         return _Primitive(self.vertices[index], faces, attributes, self.material)
 
 
-def _instances(file: GltfFile) -> Iterator[tuple[int, Doubles]]:
-    """Yields the index and the transform [4,4] of each mesh in the scene, in depth-first order of its nodes."""
+def _placed_nodes(file: GltfFile) -> Iterator[PlacedNode]:
+    """Yields the nodes of the scene in depth-first order."""
     scenes = file.array("scenes")
     if scenes:
         chosen = file.tree.get("scene", 0)
@@ -513,19 +545,19 @@ def _instances(file: GltfFile) -> Iterator[tuple[int, Doubles]]:
     else:
         children = {child for node in file.array("nodes") for child in node.get("children", [])}
         roots = [index for index in range(len(file.array("nodes"))) if index not in children]
-    waiting = [(index, np.eye(4)) for index in reversed(roots)]
+    waiting: list[tuple[Any, int | None, Doubles]] = [(index, None, np.eye(4)) for index in reversed(roots)]
     seen: set[int] = set()
     while waiting:
-        index, parent = waiting.pop()
+        index, parent, above = waiting.pop()
         node = file.item("nodes", index)
         if index in seen:
             raise Unreadable("its nodes are not a tree")
-        seen.add(index)
-        transform = parent @ _transform(node, f"nodes[{index}]")
+        transform = above @ _transform(node, f"nodes[{index}]")
         if "mesh" in node:
             file.item("meshes", node["mesh"])
-            yield node["mesh"], transform
-        waiting += [(child, transform) for child in reversed(node.get("children", []))]
+        yield PlacedNode(index, node, parent, transform)
+        waiting += [(child, len(seen), transform) for child in reversed(node.get("children", []))]
+        seen.add(index)
 
 
 def _transform(node: dict[str, Any], where: str) -> Doubles:
@@ -589,7 +621,13 @@ def _primitive(file: GltfFile, where: str, entry: dict[str, Any], accessors: dic
     return whole.taken(used, local.reshape(-1, 3))
 
 
-def _parts(primitives: list[_Primitive], materials: list[Material], note: Callable[[str], None]) -> tuple[Part, ...]:
+def _fitted(
+    nodes: list[PlacedNode],
+    primitives: list[_Primitive],
+    owners: list[int],
+    materials: list[Material],
+    note: Callable[[str], None],
+) -> Placement:
     """Returns the parts without degenerate triangles, fitted to the frame. Raises Unreadable if no triangle is left."""
     points = np.concatenate([primitive.vertices for primitive in primitives])
     if not np.isfinite(points).all() or np.abs(points).max() > MAX_COORDINATE:
@@ -601,7 +639,7 @@ def _parts(primitives: list[_Primitive], materials: list[Material], note: Callab
     middle = points.mean(axis=0)
     parts = []
     shown = 0
-    for primitive, material in zip(primitives, materials, strict=True):
+    for owner, primitive, material in zip(owners, primitives, materials, strict=True):
         primitive.vertices = (primitive.vertices - middle) / extent
         corners = primitive.vertices[primitive.faces]
         edges = corners - np.roll(corners, 1, axis=1)
@@ -610,12 +648,16 @@ def _parts(primitives: list[_Primitive], materials: list[Material], note: Callab
         shown += int(proper.sum())
         if proper.any():
             used, local = np.unique(primitive.faces[proper], return_inverse=True)
-            parts.append(_part(primitive.taken(used, local.reshape(-1, 3)), material))
+            parts.append((owner, _part(primitive.taken(used, local.reshape(-1, 3)), material)))
     if not parts:
         raise Unreadable("none of its triangles has an area")
     if sentence := rounding_note(points, sum(len(primitive.faces) for primitive in primitives), shown):
         note(sentence)
-    return fitted(tuple(sorted(parts, key=_blends)))
+    parts.sort(key=lambda owned: _blends(owned[1]))
+    whole = tuple(part for _, part in parts)
+    low, high, radius = ball(whole)
+    centre = (low + high) / 2 * extent + middle
+    return Placement(nodes, [owner for owner, _ in parts], fitted(whole), centre, radius * extent)
 
 
 def _check_texels(materials: list[Material]) -> None:

@@ -28,6 +28,7 @@ from scene_attack.scenes.bundle import MAX_FILES, Up, clean_name
 from scene_attack.scenes.description import Finite, Unit
 from scene_attack.scenes.image_file import MAX_PIXELS
 from scene_attack.scenes.mesh import FIT_RADIUS, VERTEX_ATTRIBUTES, AlphaMode, Bytes, Floats, MapName, Part
+from scene_attack.scenes.scene_file import SceneFile
 from scene_attack.scenes.store import from_arrays, to_arrays
 
 MOST_PHRASES = 40
@@ -37,10 +38,11 @@ PHRASE_LENGTH = 300
 
 
 class Report(NamedTuple):
-    """Report on a mesh: what it shows, and what was dropped."""
+    """Report on a mesh: what it shows, what was dropped, and the scene of a file whose format has one."""
 
     used: tuple[str, ...] = ()
     dropped: tuple[str, ...] = ()
+    scene: SceneFile | None = None
 
 
 def listed(phrases: Iterable[str]) -> tuple[str, ...]:
@@ -84,6 +86,7 @@ class _Document(_Record):
     """The names of arrays that are sent once under another name."""
     used: Annotated[list[Phrase], Field(max_length=MOST_PHRASES)]
     dropped: Annotated[list[Phrase], Field(max_length=MOST_PHRASES)]
+    scene: SceneFile | None = None
 
 
 def pack(parts: tuple[Part, ...], report: Report) -> bytes:
@@ -99,6 +102,7 @@ def pack(parts: tuple[Part, ...], report: Report) -> bytes:
         same={name: sent for name, sent in same.items() if name != sent},
         used=list(report.used),
         dropped=list(report.dropped),
+        scene=report.scene,
     )
     sent = {name: np.ascontiguousarray(arrays[name]) for name in first.values()}
     return save(sent | {"document": np.frombuffer(document.model_dump_json().encode(), np.uint8)})
@@ -122,9 +126,11 @@ def unpack(data: bytes, max_faces: int) -> tuple[tuple[Part, ...], Report]:
         triangles += len(arrays[f"{k}.faces"])
     if triangles > max_faces:
         raise ValueError(f"it has more than {max_faces:,} triangles")
+    if document.scene is not None and not document.scene.unusable and len(document.scene.parts) != document.parts:
+        raise ValueError("its scene has other parts")
     texts = {name: np.array(material.model_dump_json()) for name, material in document.materials.items()}
     try:
-        return from_arrays(arrays | texts), Report(tuple(document.used), tuple(document.dropped))
+        return from_arrays(arrays | texts), Report(tuple(document.used), tuple(document.dropped), document.scene)
     except (KeyError, TypeError) as error:
         raise ValueError(f"an array is missing, or belongs to no part: {error}") from error
 

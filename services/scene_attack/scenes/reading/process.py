@@ -33,6 +33,7 @@ from scene_attack.scenes.image_file import read_image
 from scene_attack.scenes.reading.companion_files import CompanionFiles
 from scene_attack.scenes.reading.formats import KINDS, check_packages, read_mesh, report
 from scene_attack.scenes.reading.isolated import FILE_BYTES, pack
+from scene_attack.scenes.scene_file import SceneFile
 
 LIMITS = Limits(memory_bytes=FILE_BYTES, cpu_seconds=25)
 WALL_SECONDS = 90.0
@@ -136,8 +137,10 @@ def read(request: dict[str, Any], data: bytes) -> tuple[dict[str, Any], bytes]:
         data = data[start:]
         files = CompanionFiles(others, kind, data)
         notes: list[str] = []
-        parts = read_mesh(data, kind, request["max_faces"], files, request["up"], notes.append)
-        return {}, pack(parts, report(data, kind, files, parts, notes))
+        scenes: list[SceneFile] = []
+        parts = read_mesh(data, kind, request["max_faces"], files, request["up"], notes.append, scenes.append)
+        about = report(data, kind, files, parts, notes)
+        return {}, pack(parts, about._replace(scene=scenes[0] if scenes else None))
     if "map" in request:
         texels = read_map(data, request["map"])
         return {"size": texels.shape[:2]}, texels.tobytes()
