@@ -21,6 +21,7 @@ from tests.integration.conftest import Stack, until
 from tests.integration.specs import ENDLESS, QUICK, long, scene
 from tests.integration.test_run import small
 from tests.unit.client.command_line import cli
+from tests.unit.scenes.scene_files import Room
 
 pytestmark = pytest.mark.integration
 
@@ -67,6 +68,7 @@ class Reader:
             (folder / file).write_text(json.dumps(content))
         chair = trimesh.creation.icosphere(subdivisions=2).export(file_type="obj")
         (folder / "chair.obj").write_text(chair)
+        (folder / "room.glb").write_bytes(Room().glb)
         (folder / "garden.hdr").write_bytes(GARDEN)
         with ZipFile(folder / "models.zip", "w") as models:
             models.writestr("chair.obj", chair)
@@ -141,6 +143,9 @@ def alone(reader: Reader) -> None:
     run("scene-attack assets list --category Bathroom --licence CC0")
     assert "grand-piano" in run("scene-attack assets show furniture/grand-piano")
     assert "courtyard" in run("scene-attack assets environments")
+    assert "Ball" in run("scene-attack scene show room.glb")
+    run("scene-attack scene show room.glb --out scene.png")
+    assert (reader.folder / "scene.png").is_file()
     assert "efficientnet-lite0" in run("scene-attack targets")
     run("scene-attack targets check efficientnet-lite0")
     run("scene-attack targets check efficientnet-lite0")  # of the group's help, and of the command's

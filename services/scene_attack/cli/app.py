@@ -10,7 +10,7 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from scene_attack.cli.commands import analyse, assets, campaign, doctor, export, jobs, run, targets
+from scene_attack.cli.commands import analyse, assets, campaign, doctor, export, jobs, run, scene, targets
 from scene_attack.errors import InvalidRequest, JobFailure
 from scene_attack.extras import MissingExtra, extra
 
@@ -52,6 +52,7 @@ for part in (run.app, analyse.app, export.app, jobs.submitting, doctor.app):
 app.add_typer(jobs.app, name="jobs")
 app.add_typer(campaign.app, name="campaign")
 app.add_typer(assets.app, name="assets")
+app.add_typer(scene.app, name="scene")
 app.add_typer(targets.app, name="targets")
 for entry in sorted(entry_points(group="scene_attack.commands")):
     entry.load()(app)

@@ -108,7 +108,8 @@ class SceneObject(Model):
     """A mesh in the scene, with its surface and its pose."""
 
     mesh: GivenMesh = Field(
-        description="`furniture/<slug>`, `primitive/<name>`, or the id of an uploaded mesh (`sha256:<hex>`)",
+        description="`furniture/<slug>`, `primitive/<name>`, or the id of an uploaded mesh (`sha256:<hex>`; "
+        "`sha256:<hex>#12` is a node of a scene's file, `sha256:<hex>#!12,15` all but some nodes)",
     )
     material: Annotated[str, reference("material")] = Field(
         default="matte", max_length=64, description="kind of surface, which says how it reflects light (torch)"

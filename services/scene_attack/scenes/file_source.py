@@ -6,7 +6,7 @@ of sight of its camera: turning is left out, since +y is up in both. Light inten
 too.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from fnmatch import fnmatchcase
 from math import asin, atan2, cos
 from typing import Annotated, Any, Literal, NamedTuple, Self
@@ -53,6 +53,8 @@ NEAREST = 0.05
 """Smallest distance of a scene's camera."""
 IRRADIANCE = 30 / 9
 """Sum of the irradiances that the file's lights have where the objects are: a default point light's at distance 3."""
+SMALLEST = 1e-3
+"""Smallest scale of an object."""
 FARTHEST = 50.0
 """Distance of a light from the objects, scene units, beyond which one that lights them may need too large an energy."""
 MAX_LISTED = 20
@@ -151,20 +153,34 @@ def scene_of(scene: SceneFile, file: str, camera: str | None, change: Sequence[s
     if scene.own is not None and camera is None and change is None:
         return FollowingScene(dict(scene.own), 1.0, None, list(scene.left_out))
     picked = _picked(scene, change)
-    things = [scene.nodes[node].extent for node in picked]
-    around = _union(extent for extent in things if extent is not None)
-    view = _view(_camera(scene, camera), around)
+    objects = {mesh_of_node(file, node): scene.nodes[node].extent for node in picked}
+    fixed = () if set(scene.parts) <= scene.below(picked) else (mesh_of_rest(file, picked),)
+    return _following(scene, _camera(scene, camera), objects, fixed)
+
+
+def whole_scene(scene: SceneFile, file: str) -> FollowingScene:
+    """Returns a scene of all that is in the upload `file`, as one object, seen by its first camera."""
+    if scene.own is not None:
+        return scene_of(scene, file, None, None)
+    return _following(scene, _camera(scene, None), {file: scene.extent}, ())
+
+
+def _following(
+    scene: SceneFile, camera: FileCamera | None, objects: Mapping[str, Extent | None], fixed: Sequence[str]
+) -> FollowingScene:
+    """What follows for meshes of the file where it has them; those that are fixed are in the whole file's frame."""
+    drawn = {mesh: extent for mesh, extent in objects.items() if extent is not None}
+    around = _union(drawn.values())
+    view = _view(camera, around)
     assert scene.extent is not None
-    scale = _scale(view, [scene.extent, *(extent for extent in things if extent is not None)])
+    scale = _scale(view, [scene.extent, *drawn.values()])
     frame = _Frame(view.origin, scale)
-    fields: dict[str, Any] = {"camera": Camera(**view.fields, distance=scale * view.distance)}
-    fields["objects"] = tuple(
-        frame.placed(mesh_of_node(file, node), extent, scene.label(node))
-        for node, extent in zip(picked, things, strict=True)
-        if extent is not None
-    )
-    if not set(scene.parts) <= scene.below(picked):
-        fields["fixed"] = (frame.placed(mesh_of_rest(file, picked), scene.extent, "the rest"),)
+    fields: dict[str, Any] = {
+        "camera": Camera(**view.fields, distance=scale * view.distance),
+        "objects": tuple(frame.placed(mesh, extent) for mesh, extent in drawn.items()),
+    }
+    if fixed:
+        fields["fixed"] = tuple(frame.placed(mesh, scene.extent) for mesh in fixed)
     lit, exposure, dark = _lights(scene.lights, np.array(around.centre), frame)
     return FollowingScene(fields | lit, scale, exposure, [*dark, *scene.left_out])
 
@@ -178,11 +194,12 @@ class _Frame(NamedTuple):
     def point(self, metres: Vector) -> Vector:
         return vector(self.scale * (np.array(metres) - self.origin))
 
-    def placed(self, mesh: str, extent: Extent, name: str) -> SceneObject:
+    def placed(self, mesh: str, extent: Extent) -> SceneObject:
         """A mesh where it is in the file; its own frame has the file's axes."""
         size = self.scale * extent.radius / FIT_RADIUS
-        if size < 1e-3:
-            raise InvalidRequest("change", f"{name!r} is too small to be seen: {2 * extent.radius:.3g} m wide")
+        if size < SMALLEST:
+            detail = f"{mesh.partition('#')[2]} is too small to be seen: {2 * extent.radius:.3g} m wide"
+            raise InvalidRequest("change", f"the node #{detail}")
         return SceneObject(mesh=mesh, translation=self.point(extent.centre), scale=size)
 
 

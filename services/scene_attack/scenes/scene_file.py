@@ -53,9 +53,10 @@ class Node(_Record):
 
 
 class FileCamera(_Record):
-    """A perspective camera. forward and up are unit vectors; field_of_view is vertical, radians; aspect is width by
-    height, None where the file leaves it open."""
+    """A perspective camera at a node. forward and up are unit vectors; field_of_view is vertical, radians; aspect is
+    width by height, None where the file leaves it open."""
 
+    node: Index
     name: Name
     position: Vector
     forward: Vector
@@ -65,9 +66,10 @@ class FileCamera(_Record):
 
 
 class FileLight(_Record):
-    """A light. intensity: in candela, of a directional light in lux, for all channels together; colored: whether its
-    colour is not white. direction: that in which it shines, a unit vector. Angles are radians."""
+    """A light at a node. intensity: in candela, of a directional light in lux, for all channels together; colored:
+    whether its colour is not white. direction: that in which it shines, a unit vector. Angles are radians."""
 
+    node: Index
     name: Name
     kind: Literal["point", "directional", "spot"]
     intensity: Annotated[Finite, Field(ge=0)]

@@ -24,7 +24,7 @@ COMMANDS = [[], *(name.split()[1:] for name, _ in commands())]
 def test_every_command_has_help_with_an_example(command: list[str]) -> None:
     done = CliRunner().invoke(app, [*command, "--help"])
     assert done.exit_code == 0
-    groups = ([], ["jobs"], ["assets"], ["accuracy"], ["campaign"], ["keys"])
+    groups = ([], ["jobs"], ["assets"], ["scene"], ["accuracy"], ["campaign"], ["keys"])
     assert ("Example" in done.stdout) == (command not in groups)
 
 
@@ -39,6 +39,7 @@ NOBODY = "--url http://127.0.0.1:1"
         ("targets", NETWORKS_AND_RENDERERS),
         ("assets list --category primitive", NETWORKS_AND_RENDERERS),
         ("assets environments", NETWORKS_AND_RENDERERS),
+        ("scene show no-such-file.glb", {"torch", "OpenGL", "pyrender"}),
         ("assets show primitive/no-such-mesh", NETWORKS_AND_RENDERERS),
         (f"jobs list {NOBODY}", NETWORKS_AND_RENDERERS | {"sqlalchemy", "fastapi"}),
         (f"jobs show some-job {NOBODY}", NETWORKS_AND_RENDERERS | {"sqlalchemy", "fastapi"}),

@@ -64,7 +64,7 @@ def test_page_of_fields_has_every_field_as_it_is_described(model: type[BaseModel
 def test_start_has_every_command_and_every_example() -> None:
     page = text("index.md")
     for command in COMMANDS:
-        if command not in ([], ["jobs"], ["assets"], ["accuracy"], ["campaign"], ["keys"]):
+        if command not in ([], ["jobs"], ["assets"], ["scene"], ["accuracy"], ["campaign"], ["keys"]):
             assert f"scene-attack {' '.join(command)}" in page
     for example in (ROOT / "examples").glob("*.json"):
         assert f"`{example.name}`" in page

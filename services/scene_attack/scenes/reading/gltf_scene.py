@@ -52,7 +52,7 @@ def _scene(file: GltfFile, placement: Placement) -> SceneFile:
     cameras: list[FileCamera] = []
     lights: list[FileLight] = []
     left_out: list[str] = []
-    for node in placement.nodes:
+    for index, node in enumerate(placement.nodes):
         name = readable(node.entry.get("name"))
         label = repr(name) if name else f"nodes[{node.number}]"
         own = node.entry.get("extensions", {})
@@ -65,9 +65,9 @@ def _scene(file: GltfFile, placement: Placement) -> SceneFile:
         if "mesh" in node.entry and _has_targets(file, node.entry["mesh"]):
             left_out.append(f"the morph targets of {label}: it is drawn in its first shape")
         if "camera" in node.entry:
-            cameras += _camera(file, node, name or readable(file.item("cameras", node.entry["camera"]).get("name")))
+            cameras += _camera(file, node, index, name)
         if LIGHTS in own:
-            lights.append(_light(file, own[LIGHTS], node, name))
+            lights.append(_light(file, own[LIGHTS], node, index, name))
     for what, most in ((cameras, MAX_CAMERAS), (lights, MAX_LIGHTS)):
         if len(what) > most:
             raise Unreadable(f"it has {len(what):,} cameras or lights; at most {most:,} of each are taken")
@@ -113,7 +113,7 @@ def _has_targets(file: GltfFile, mesh: int) -> bool:
     return any(entry.get("targets") for _, entry, _ in file.primitives(mesh))
 
 
-def _camera(file: GltfFile, node: PlacedNode, name: str) -> list[FileCamera]:
+def _camera(file: GltfFile, node: PlacedNode, index: int, name: str) -> list[FileCamera]:
     """The perspective camera of a node; none for another kind."""
     where = f"cameras[{node.entry['camera']}]"
     entry = file.item("cameras", node.entry["camera"])
@@ -124,7 +124,8 @@ def _camera(file: GltfFile, node: PlacedNode, name: str) -> list[FileCamera]:
     up = node.transform[:3, 1] - forward * (forward @ node.transform[:3, 1])
     return [
         FileCamera(
-            name=name,
+            node=index,
+            name=name or readable(entry.get("name")),
             position=vector(node.transform[:3, 3]),
             forward=vector(forward),
             up=vector(_unit(up, f"nodes[{node.number}]")),
@@ -136,7 +137,7 @@ def _camera(file: GltfFile, node: PlacedNode, name: str) -> list[FileCamera]:
     ]
 
 
-def _light(file: GltfFile, reference: Any, node: PlacedNode, name: str) -> FileLight:
+def _light(file: GltfFile, reference: Any, node: PlacedNode, place: int, name: str) -> FileLight:
     holder = file.tree.get("extensions", {})
     listed = elements(holder.get(LIGHTS, {}), "lights", LIGHTS) if isinstance(holder, dict) else []
     index = reference.get("light") if isinstance(reference, dict) else None
@@ -147,6 +148,7 @@ def _light(file: GltfFile, reference: Any, node: PlacedNode, name: str) -> FileL
         raise Unreadable(f"{where} is no point, directional or spot light")
     color = numbers(entry, "color", (1.0, 1.0, 1.0), 0, 1e6, where)
     light = FileLight(
+        node=place,
         name=name or readable(entry.get("name")),
         kind=entry["type"],
         intensity=number(entry, "intensity", 1.0, 0, 1e12, where) * float(color @ LUMINANCE),
