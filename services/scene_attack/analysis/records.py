@@ -333,7 +333,9 @@ class Analyses(Record):
     coordinates: Attribution | None = None
     minimal: MinimalChange | None = None
     transfer: list[Transferred] | None = None
-    second_opinion: list[SecondOpinion] | None = Field(None, exclude_if=absent)
+    second_opinion: list[SecondOpinion] | None = Field(
+        None, exclude_if=absent, description="by renderer; null also where the adversary is not verified"
+    )
     survival: HeldOver | None = Field(
         None,
         exclude_if=absent,

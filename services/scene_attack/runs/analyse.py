@@ -87,7 +87,7 @@ def analyse(subject: Subject, request: AnalysisRequest, out: Path, report: Repor
         for number, name in enumerate(request.transfer.targets):
             report("transfer", number, len(request.transfer.targets))
             analyses.transfer.append(_to_target(subject, name))
-    if request.second_opinion is not None:
+    if request.second_opinion is not None and goal.fooled(attacked.logits):
         analyses.second_opinion = []
         for number, name in enumerate(request.second_opinion.renderers):
             report("second opinion", number, len(request.second_opinion.renderers))
