@@ -122,6 +122,39 @@ SECTIONS = (
         ),
     ),
     Section(
+        "The camera beside nrtk",
+        "sensor",
+        (
+            "Settings of [the camera](../how-it-works.md#a-camera-in-between) and their counterparts in nrtk "
+            "{peers[nrtk]}, on `{mesh}` drawn by pyrender; in 1/255, over the whole image. *changed* is what the "
+            "setting itself changes in the mean.",
+            Rows(
+                lambda result: result["rows"],
+                {
+                    "setting": number("setting", ""),
+                    "nrtk's": number("peer", ""),
+                    "changed>": number("changed", ".2f"),
+                    "apart, mean>": number("mean", ".2f"),
+                    "apart, largest>": number("largest", ".0f"),
+                },
+            ),
+            "Sharpening is Pillow's in both, and agrees to rounding. nrtk blurs and resizes displayed values, where a "
+            "lens blurs light, by kernels of whole pixels; its JPEG files are OpenCV's. `BrightnessPerturber` "
+            "multiplies displayed values, which is no exposure: half a stop less is a factor of about 0.85 on them. "
+            "nrtk has no white balance. Its noise is as strong in the dark as in the light; a sensor's is not. "
+            "Standard deviation at ISO 1600 and of `GaussianNoisePerturber` of the same strength in the middle, by the "
+            "displayed value:",
+            Rows(
+                lambda result: result["noise"],
+                {
+                    "displayed value>": number("level", "g"),
+                    "the camera's>": number("ours", ".2f"),
+                    "nrtk's>": number("theirs", ".2f"),
+                },
+            ),
+        ),
+    ),
+    Section(
         "Attacks on pixels by several packages",
         "peer_attacks",
         (
