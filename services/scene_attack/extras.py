@@ -24,6 +24,7 @@ MODULES = {
     ),
     "formats": ("Imath", "OpenEXR", "collada", "lxml", "networkx"),
     "export": ("OpenEXR", "jinja2", "matplotlib"),
+    "mitsuba": ("drjit", "mitsuba"),
     "onnx": ("google", "onnx", "onnxruntime"),
     "pandas": ("pandas",),
     "postgresql": ("psycopg",),

@@ -20,7 +20,7 @@ from scene_attack.attacks.goal import ResolvedGoal
 from scene_attack.errors import InvalidRequest
 from scene_attack.rendering.color import from_bytes
 from scene_attack.rendering.protocol import Parameters
-from scene_attack.rendering.pyrender.declaration import PYRENDER
+from scene_attack.rendering.pyrender.declaration import has_groups_of_pyrender
 from scene_attack.runs.classification import Classification, seen
 from scene_attack.runs.described import can_carry, described
 from scene_attack.runs.result import FirstAnswer
@@ -154,7 +154,7 @@ class QuestionTask:
 
     def constraint(self, renderer: str, initial: Parameters) -> SceneLimits | None:
         """That the questions find the same in the scene; None for a renderer that moves no object."""
-        if renderer != PYRENDER.name:
+        if not has_groups_of_pyrender(renderer):
             return None
         programs, first = [question.program for question in self._questions], self._questions[0]
         return SceneLimits(programs, first.record, first.scene, renderer, initial)

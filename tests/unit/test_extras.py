@@ -25,6 +25,8 @@ LAZY = {
     "services/scene_attack_service/jobs/answer_limit.py": "postgresql",
 }
 """Modules that are imported only inside a block of `extra`, and so may begin with the imports of one."""
+ELSEWHERE = {"stock", "cycles.py"}
+"""Files and folders of programs that run elsewhere, the second in Blender's process (`scene_attack_blender.plugin`)."""
 BROUGHT = {
     "OpenEXR": "Imath",
     "pydantic_core": "pydantic",
@@ -70,12 +72,17 @@ def found_in(*roots: str) -> list[tuple[str, str, bool]]:
     return [
         (str(path.relative_to(ROOT)), module, inside)
         for path in files
-        if "stock" not in path.parts  # a program that runs elsewhere
+        if not ELSEWHERE & {*path.parts}
         for module, inside in imports(ast.parse(path.read_text("utf-8")))
     ]
 
 
-LIBRARY = found_in("services/scene_attack", "services/scene_attack_questions", "services/scene_attack_accuracy")
+LIBRARY = found_in(
+    "services/scene_attack",
+    "services/scene_attack_questions",
+    "services/scene_attack_blender",
+    "services/scene_attack_accuracy",
+)
 SERVICE = found_in("services/scene_attack_service", "api", "worker")
 
 

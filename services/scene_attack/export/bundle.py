@@ -21,7 +21,7 @@ from scene_attack.errors import InvalidRequest
 from scene_attack.export.glb import scene_glb
 from scene_attack.export.parameters import as_colors, light_maps, normal_maps, openexr, parameter_table, write_exr
 from scene_attack.export.report import Files, readme, report
-from scene_attack.export.scene_values import CARRIED, scene_values
+from scene_attack.export.scene_values import carried, scene_values
 from scene_attack.rendering.protocol import Parameters
 from scene_attack.rendering.torch.declaration import TORCH
 from scene_attack.rendering.torch.shape import bent
@@ -87,7 +87,7 @@ class Finished:
     def glb(self, which: str) -> bytes:
         """The scene "before" or "after" the attack as a binary glTF file."""
         renderer = self.spec.attack.renderer
-        groups = CARRIED.get(renderer, ()) if which == "after" else ()
+        groups = carried(renderer) if which == "after" else ()
         changes = {group: change for group, change in self.perturbation.items() if group in groups}
         scene = bent(self.scene, changes) if renderer == TORCH.name else self.scene
         return scene_glb(scene, scene_values(scene, changes), self.lit_by_map, f"environment_{which}.exr")

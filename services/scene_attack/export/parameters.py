@@ -17,7 +17,7 @@ from scene_attack.extras import extra
 from scene_attack.rendering.declaration import RENDERERS, SHORTEST_WAVE
 from scene_attack.rendering.opengl.gbuffer import rasterise
 from scene_attack.rendering.protocol import Parameters
-from scene_attack.rendering.pyrender.declaration import PYRENDER
+from scene_attack.rendering.pyrender.declaration import has_groups_of_pyrender
 from scene_attack.rendering.pyrender.parameters import ENERGY, IRRADIANCE, SceneParameters
 from scene_attack.rendering.torch.lamp import Lamp
 from scene_attack.rendering.torch.lattice import Lattice
@@ -66,7 +66,7 @@ def parameter_table(
 ) -> ParameterTable:
     """The table. Groups without a name for each coordinate are listed with the `files` of their values, by group."""
     declaration = RENDERERS[renderer]
-    numbers = SceneParameters(scene) if renderer == PYRENDER.name else None
+    numbers = SceneParameters(scene) if has_groups_of_pyrender(renderer) else None
     if numbers is not None:
         initial = numbers.initial()
     else:

@@ -18,7 +18,7 @@ from pydantic import BaseModel
 
 from scene_attack.attacks.trace import TraceRow
 from scene_attack.export.parameters import ParameterTable
-from scene_attack.export.scene_values import CARRIED
+from scene_attack.export.scene_values import carried
 from scene_attack.rendering.pyrender.renderer import EXPOSURE
 from scene_attack.rendering.torch.light import illumination
 from scene_attack.runs.exported_targets import FOLDER, ExportedTarget
@@ -104,7 +104,7 @@ def readme(
         missing=[missing for target in targets if (missing := target.missing(FOLDER)) is not None],
         written_by=result.provenance.versions.get("scene-attack", version("scene-attack")),
         lengths=_lengths(scene),
-        same_scene=not set(spec.attack.groups) & set(CARRIED.get(spec.attack.renderer, ())),
+        same_scene=not set(spec.attack.groups) & set(carried(spec.attack.renderer)),
         why_same="see below" if mapped else "the attack changes pixels",
         lit_by_map=mapped,
         exposure=illumination(torch.as_tensor(scene.environment)).exposure if mapped else EXPOSURE,

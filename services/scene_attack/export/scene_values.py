@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from torch import Tensor
 
-from scene_attack.rendering.pyrender.declaration import PYRENDER
+from scene_attack.rendering.pyrender.declaration import PYRENDER, has_groups_of_pyrender
 from scene_attack.rendering.pyrender.parameters import SceneParameters
 from scene_attack.rendering.torch.declaration import TORCH
 from scene_attack.scenes.mesh import Doubles
@@ -86,9 +86,13 @@ def scene_values(scene: ResolvedScene, perturbation: Mapping[str, Tensor]) -> Sc
     )
 
 
-CARRIED = {PYRENDER.name: PYRENDER.group_names, TORCH.name: ("bump", *TORCH.moving_groups)}
-"""By renderer the groups that change the scene itself, so that it differs before and after the attack: dents of the
-torch renderer are in its meshes' normals, and its shapes in their vertices."""
+def carried(renderer: str) -> tuple[str, ...]:
+    """The groups of a renderer that change the scene itself, so that it differs before and after the attack: dents of
+    the torch renderer are in its meshes' normals, and its shapes in their vertices.
+    """
+    if renderer == TORCH.name:
+        return ("bump", *TORCH.moving_groups)
+    return PYRENDER.group_names if has_groups_of_pyrender(renderer) else ()
 
 
 def as_extras(light: LightValues) -> dict[str, Any]:

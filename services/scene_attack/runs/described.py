@@ -1,14 +1,14 @@
 """The scene that a perturbation of physical parameters describes, so that another renderer can draw it.
 
-Only the pyrender renderer's parameters are fields of a scene: poses and colours of objects and the camera's place,
-which every renderer draws.
+Only the pyrender renderer's parameters, which others may have too, are fields of a scene: poses and colours of objects
+and the camera's place, which every renderer draws.
 Its lights are its own; the torch renderer is lit by the environment map. The torch renderer's normals belong to the
 pixels of one view, and its texels and material coefficients to itself. The pixels of an image belong to no scene.
 """
 
 from scene_attack.errors import InvalidRequest
 from scene_attack.rendering.protocol import Parameters
-from scene_attack.rendering.pyrender.declaration import PYRENDER
+from scene_attack.rendering.pyrender.declaration import has_groups_of_pyrender
 from scene_attack.scenes.description import Scene
 
 OF_OBJECTS = ("color", "translation", "rotation")
@@ -19,7 +19,7 @@ CAMERA = "camera"
 
 def can_carry(renderer: str, groups: tuple[str, ...]) -> bool:
     """Whether a perturbation of these groups changes the scene that other renderers draw."""
-    return renderer == PYRENDER.name and any(group in (*OF_OBJECTS, CAMERA) for group in groups)
+    return has_groups_of_pyrender(renderer) and any(group in (*OF_OBJECTS, CAMERA) for group in groups)
 
 
 def described(scene: Scene, renderer: str, perturbation: Parameters) -> tuple[Scene, list[str], list[str]]:

@@ -79,7 +79,7 @@ def has_holes(part: Part) -> bool:
     return part.texture is not None and part.uv is not None and bool((part.texture[..., 3] < OPAQUE_FROM).any())
 
 
-def _is_opaque(part: Part) -> bool:
+def is_opaque(part: Part) -> bool:
     """Whether nothing shows through a part. A file's glTF material has sides of its own, and counts as see-through."""
     material = part.metallic_roughness
     if material is not None:
@@ -101,7 +101,7 @@ def outsides(mesh: Mesh) -> list[tuple[Integers, int]]:
     points, same = np.unique(np.concatenate([p.vertices for p in mesh.parts]) + 0.0, axis=0, return_inverse=True)
     faces = same.ravel()[np.concatenate([p.faces + start for p, start in zip(mesh.parts, starts, strict=False)])]
     proper = (faces != np.roll(faces, -1, axis=1)).all(axis=1)  # the others are lines, and cover nothing
-    opaque = np.concatenate([np.full(len(p.faces), _is_opaque(p)) for p in mesh.parts])
+    opaque = np.concatenate([np.full(len(p.faces), is_opaque(p)) for p in mesh.parts])
     surface = np.full(len(faces), -1)
     surface[proper], whole = _surfaces(faces[proper], len(points))
     whole = np.append(whole, False)  # the last is that of the lines

@@ -10,6 +10,8 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 from packaging.version import Version
 
+from scene_attack_blender.plugin import RELEASE
+
 pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).parents[3]
@@ -17,7 +19,7 @@ PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 PROJECT = PYPROJECT["project"]
 BUILD = PYPROJECT["build-system"]["requires"]
 EXTRAS = PROJECT["optional-dependencies"]
-DEVELOPMENT = ("dev", "bench", "maite", "pandas")
+DEVELOPMENT = ("dev", "bench", "maite", "mitsuba", "pandas")
 """Extras that the tests or the benchmarks need and the product's image does not."""
 DIRECT = {
     "requirements.txt": PROJECT["dependencies"]
@@ -29,6 +31,7 @@ DIRECT = {
         if not one.startswith("scene-attack[")
     ],
     "requirements-dev.txt": EXTRAS["dev"],
+    "requirements-renderers.txt": EXTRAS["mitsuba"],
 }
 
 
@@ -119,7 +122,7 @@ def test_the_extra_for_benchmarks_is_among_their_requirements() -> None:
 @pytest.mark.questions
 def test_each_package_says_that_it_is_typed() -> None:
     packages = [path for root in ("services", "api", "worker") for path in (ROOT / root).glob("scene_attack*")]
-    assert len(packages) == 6
+    assert len(packages) == 7
     assert all((package / "py.typed").is_file() for package in packages)
 
 
@@ -130,3 +133,14 @@ def test_what_the_package_declares_as_its_licence_is_there_also_in_the_image() -
         assert (ROOT / name).is_file()
         assert name in copied[1].split()
         assert f"!{name}" in (ROOT / ".dockerignore").read_text().splitlines()
+
+
+def test_the_tests_have_the_release_of_blender_that_is_asked_for() -> None:
+    [line] = [line for line in (ROOT / "requirements-renderers.txt").read_text().splitlines() if line.startswith("bpy")]
+    need = Requirement(line.removesuffix(" \\"))
+    assert need.marker is not None
+    assert str(need.specifier).startswith(f"=={RELEASE}.")
+    assert need.marker.evaluate(
+        {"python_full_version": "3.11.9", "platform_machine": "x86_64", "sys_platform": "linux"}
+    )
+    assert not need.marker.evaluate({"python_full_version": "3.12.0"})

@@ -8,7 +8,16 @@ of a group at random signs changes an image of 224² by a perceptibility p of ab
 longer steps than what moves silhouettes, whose p grows with the root of the step.
 """
 
-from scene_attack.rendering.declaration import CAMERA, ROTATION, TRANSLATION, Declaration, Group, labelled, register
+from scene_attack.rendering.declaration import (
+    CAMERA,
+    RENDERERS,
+    ROTATION,
+    TRANSLATION,
+    Declaration,
+    Group,
+    labelled,
+    register,
+)
 
 PYRENDER = Declaration(
     name="pyrender",
@@ -51,3 +60,10 @@ PYRENDER = Declaration(
 )
 
 register(PYRENDER)
+
+
+def has_groups_of_pyrender(renderer: str) -> bool:
+    """Whether a renderer has the very groups of pyrender: its values are then the scene's own lights, colours, poses
+    and camera, and mean the same to every renderer that has them.
+    """
+    return renderer in RENDERERS and RENDERERS[renderer].groups == PYRENDER.groups

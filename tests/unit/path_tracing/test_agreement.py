@@ -1,0 +1,166 @@
+"""Plain scenes against the pyrender renderer: camera, poses, colours, materials, textures, shadows and the floor."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from scene_attack.scenes.description import DirectionalLight, Floor, Lights, PointLight, Scene, Shadows
+from scene_attack.scenes.mesh import Mesh, Part, TextureMap
+from scene_attack.scenes.resolve import with_surface_of_part
+from tests.unit.path_tracing.agreement import assert_agree, by_pyrender, images, inside, tracer
+from tests.unit.rendering import shapes
+
+SUN = Lights(ambient=0.0, points=(), directional=(DirectionalLight(energy=3.0, direction=(-0.2, -0.5, -1.0)),))
+LAMP = Lights(ambient=0.0, points=(PointLight(energy=9.0, position=(0.4, 0.6, 1.5)),))
+
+
+def lopsided() -> Mesh:
+    """Three slabs that no turn or mirror maps to each other."""
+    slabs = [shapes.quad(0.3, 0.1, (0.1, 0.15, 0.0)), shapes.quad(0.05, 0.25, (-0.2, -0.1, 0.2))]
+    return shapes.mesh(*slabs, shapes.quad(0.1, 0.02, (0.2, -0.3, -0.1)))
+
+
+MOVED: list[dict[str, Any]] = [
+    {},
+    {"camera": [0.5, 0.3, 2.2, 0.0]},
+    {"camera": [-0.7, -0.2, 1.6, 0.6]},
+    {"translation": [[0.12, -0.08, 0.2]]},
+    {"rotation": [[0.5, 0.2, -0.4]]},
+]
+
+
+@pytest.mark.parametrize("moved", MOVED, ids=str)
+@pytest.mark.parametrize("size", [(64, 64), (48, 80)], ids=str)
+def test_silhouettes_are_pyrender_s(name: str, moved: dict[str, Any], size: tuple[int, int]) -> None:
+    """pyrender's coverage has 4 samples: that of a pixel at an edge is off by 1/8 in the mean, and by less over rows of
+    them. A silhouette that is half a pixel off is off by 1/2."""
+    scene = shapes.placed(shapes.scene(size, lights=SUN), lopsided())
+    own, theirs = images(tracer(name, scene), **moved)[:, ..., 3].mean(axis=0), by_pyrender(scene, **moved)[..., 3]
+    edges = ((own > 0) & (own < 1)) | ((theirs > 0) & (theirs < 1))
+    assert 30 < edges.sum() < theirs.size / 3
+    assert not np.abs(own - theirs)[~edges].any()
+    assert np.abs(own - theirs)[edges].mean() < 0.15
+    assert abs((own - theirs)[edges].mean()) < 0.04
+
+
+def glossy(part: Part, metallic: float, roughness: float, **settings: Any) -> Part:
+    """The part with a glTF material."""
+    surface = with_surface_of_part(part, metallic, roughness)
+    assert surface.metallic_roughness is not None
+    return replace(surface, metallic_roughness=replace(surface.metallic_roughness, **settings))
+
+
+SURFACES: dict[str, tuple[Callable[[Part], Part], float]] = {
+    "coated": (lambda part: part, 0.002),
+    "plastic": (lambda part: glossy(part, 0.0, 0.6), 0.003),
+    "smooth plastic": (lambda part: glossy(part, 0.0, 0.3), 0.008),
+    "metal": (lambda part: glossy(part, 1.0, 0.5), 0.005),
+    "half metal": (lambda part: glossy(part, 0.5, 0.5), 0.005),
+}
+"""Surfaces, and what is no disagreement, as a share of the brightest: in the highlights, of which pyrender has 64
+samples in a pixel here, the more the sharper they are."""
+
+
+@pytest.mark.parametrize("lights", [LAMP, SUN], ids=["lamp", "sun"])
+@pytest.mark.parametrize("kind", SURFACES)
+def test_a_surface_is_pyrender_s(name: str, kind: str, lights: Lights) -> None:
+    surface, allowed = SURFACES[kind]
+    colored = shapes.sphere(color=(0.8, 0.5, 0.2, 1.0))
+    scene = shapes.placed(shapes.scene((48, 48), lights=lights), shapes.mesh(surface(colored)))
+    changes = {"color": [[0.9, 0.6, 1.0]]}
+    drawn, theirs = images(tracer(name, scene), **changes), by_pyrender(scene, **changes)
+    where = inside(drawn[0, ..., 3], theirs[..., 3]) & (theirs[..., 0] > 0.05 * theirs[..., 0].max())
+    assert_agree(drawn[..., :3], theirs[..., :3], allowed * theirs[..., :3].max(), where)
+
+
+TEXELS = np.kron(np.random.default_rng(0).integers(0, 256, (4, 4, 4), np.uint8), np.ones((8, 8, 1), np.uint8))
+"""Sixteen squares of random colours, large enough that filters agree within them."""
+
+
+def textured(kind: str, texels: np.ndarray) -> Part:
+    """A square with a texture, as base colour of a part or of a glTF material."""
+    uv = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
+    if kind == "part":
+        return shapes.quad(0.6, texture=texels)
+    square = shapes.quad(0.6, uv=uv)
+    given = TextureMap(texels, int(kind == "second set"), (10497, 10497))
+    return glossy(square, 0.0, 0.8, maps={"base_color": given}, second_uv=uv[:, ::-1].copy())
+
+
+@pytest.mark.parametrize("kind", ["part", "material", "second set"])
+def test_a_texture_lies_as_pyrender_s(name: str, kind: str) -> None:
+    opaque = TEXELS.copy()
+    opaque[..., 3] = 255
+    scene = shapes.placed(shapes.scene((64, 64), lights=SUN), shapes.mesh(textured(kind, opaque)))
+    drawn, theirs = images(tracer(name, scene)), by_pyrender(scene)
+    assert_agree(drawn, theirs, 0.005 * theirs.max(), even(theirs))
+
+
+STEP = 1 / 64
+"""A path passes a transparent surface or not, so that its coverage comes in steps of one in 64 samples, at which strata
+hold it: it has less spread over seeds than it is off."""
+
+
+def half_cut() -> Part:
+    """A square whose left half is cut out, its texels having less than half alpha."""
+    texels = np.full((32, 32, 4), 255, np.uint8)
+    texels[:, :16, 3] = 100
+    return shapes.quad(0.6, texture=texels)
+
+
+def see_through() -> Part:
+    return shapes.quad(0.6, color=(0.9, 0.5, 0.3, 0.3))
+
+
+@pytest.mark.parametrize("surface", [half_cut, see_through])
+def test_what_is_cut_out_or_transparent_covers_as_pyrender_s(name: str, surface: Callable[[], Part]) -> None:
+    scene = shapes.placed(shapes.scene((48, 48), lights=SUN), shapes.mesh(surface()))
+    drawn, theirs = images(tracer(name, scene)), by_pyrender(scene)
+    assert_agree(drawn, theirs, STEP, even(theirs))
+
+
+def even(image: np.ndarray) -> np.ndarray:
+    """Pixels [H, W] around which an image [H, W, C] is nearly the same, and something is covered."""
+    around = [np.roll(image, shift, axis) for shift in (-2, -1, 1, 2) for axis in (0, 1)]
+    return (np.ptp(around, axis=0).max(axis=-1) < 0.01) & (image[..., 3] > 0.1)
+
+
+@pytest.mark.parametrize(
+    ("mode", "settings"),
+    [
+        ("MASK", {"alpha_mode": "MASK", "alpha_cutoff": 0.5}),
+        ("BLEND", {"alpha_mode": "BLEND"}),
+        ("OPAQUE", {"alpha_mode": "OPAQUE"}),
+        ("one side", {"double_sided": False}),
+        ("emission", {"emissive": (0.2, 0.4, 0.8)}),
+    ],
+)
+def test_a_gltf_material_s_settings(name: str, mode: str, settings: dict[str, Any]) -> None:
+    texels = np.full((32, 32, 4), 255, np.uint8)
+    texels[:, :16, 3] = 100
+    square = glossy(shapes.quad(0.6), 0.0, 0.8, maps={"base_color": TextureMap(texels, 0, (10497, 10497))}, **settings)
+    away = replace(square, vertices=square.vertices + np.array([0, 0, -0.3], np.float32), faces=square.faces[:, ::-1])
+    parts = [square, away] if mode == "one side" else [square]
+    scene = shapes.placed(shapes.scene((48, 48), lights=SUN), shapes.mesh(*parts))
+    drawn, theirs = images(tracer(name, scene)), by_pyrender(scene)
+    assert_agree(drawn, theirs, max(STEP, 0.005 * theirs.max()), even(theirs))
+
+
+def floor_scene(shadows: Shadows | None, lights: Lights) -> Scene:
+    description = shapes.scene((64, 64), lights=lights, elevation=0.5)
+    return description.model_copy(update={"shadows": shadows, "floor": Floor(size=6.0, height=-0.3)})
+
+
+@pytest.mark.parametrize("lights", [LAMP, SUN], ids=["lamp", "sun"])
+@pytest.mark.parametrize("shadows", [None, Shadows(softness=0.05, angle=0.03, resolution=2048, samples=64)])
+def test_shadows_follow_the_scene(name: str, shadows: Shadows | None, lights: Lights) -> None:
+    """On the floor, whose colour no group changes. Shadow maps are off at the edges of shadows, by a few pixels."""
+    scene = shapes.placed(floor_scene(shadows, lights), shapes.mesh(shapes.sphere(0.25)))
+    drawn, theirs = images(tracer(name, scene)), by_pyrender(scene)
+    whole = inside(drawn[0, ..., 3], theirs[..., 3])
+    error = np.abs(drawn[..., :3].mean(axis=0) - theirs[..., :3]).max(axis=-1)[whole] / theirs[..., :3].max()
+    assert np.quantile(error, 0.9) < 0.01
+    assert error.mean() < 0.01
