@@ -255,7 +255,7 @@ def _attacked(spec: JobSpec, folder: Path) -> SceneRecord:
     moved = load_file(folder / PERTURBATION)
     if not can_carry(spec.attack.renderer, tuple(moved)):
         return record
-    scene, _, _ = described(spec.scene, spec.attack.renderer, moved)
+    scene = described(spec.scene, moved)
     return record_after(record, scene)
 
 

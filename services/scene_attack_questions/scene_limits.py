@@ -56,7 +56,7 @@ class SceneLimits:
             return True
         if CAMERA in perturbation and perturbation[CAMERA][ROLL] != 0:
             return False  # CLEVR's cameras are upright, so that a record would not know of it
-        scene, _, _ = described(self._scene, self._renderer, perturbation)
+        scene = described(self._scene, perturbation)
         record, rig = record_after(self._record, scene), rig_after(self._record, scene.camera)
         try:
             check(record.objects, rig)

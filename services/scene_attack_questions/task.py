@@ -73,7 +73,7 @@ class AskedQuestion:
         """Returns the right answer to the attacked scene; None if the question is ill-posed there."""
         if not can_carry(renderer, tuple(perturbation)):
             return self.right
-        scene, _, _ = described(self.scene, renderer, perturbation)
+        scene = described(self.scene, perturbation)
         try:
             return answer(self.program, Facts.of(record_after(self.record, scene)))
         except IllPosed:
