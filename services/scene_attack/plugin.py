@@ -10,6 +10,7 @@ from scene_attack.plugins import INTERFACE
 from scene_attack.rendering.declaration import BuildRequest, Declaration, DeclaredRenderer, Group, labelled
 from scene_attack.rendering.declaration import register as register_renderer
 from scene_attack.rendering.plan import Item, Plan
+from scene_attack.rendering.pyrender.declaration import PYRENDER
 from scene_attack.rendering.pyrender.path_traced import path_traced
 from scene_attack.runs.task import register_task
 from scene_attack.runs.task_parts import Ask, Cases, Member, Part, ResultPart
@@ -20,6 +21,7 @@ from scene_attack.targets.info import register as register_target
 
 __all__ = [
     "INTERFACE",
+    "PYRENDER",
     "Ask",
     "Attack",
     "BuildRequest",

@@ -81,6 +81,7 @@ LIBRARY = found_in(
     "services/scene_attack",
     "services/scene_attack_questions",
     "services/scene_attack_blender",
+    "services/scene_attack_stock",
     "services/scene_attack_accuracy",
 )
 SERVICE = found_in("services/scene_attack_service", "api", "worker")

@@ -16,7 +16,7 @@ GROUND_FLOOR = {path.stem for path in LIBRARY.glob("*.py")} - {"objects", "owner
 """Modules of the library that every room may import; the page names them in words."""
 PACKAGES = (
     "scene_attack",
-    *(f"scene_attack_{name}" for name in ("service", "questions", "blender", "accuracy", "api", "worker")),
+    *(f"scene_attack_{name}" for name in ("service", "questions", "blender", "stock", "accuracy", "api", "worker")),
 )
 
 

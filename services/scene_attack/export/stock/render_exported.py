@@ -18,6 +18,7 @@ import json
 import os
 import struct
 import sys
+from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -186,16 +187,22 @@ def scene_of(path: Path) -> tuple[pyrender.Scene, dict[str, Any]]:
         # Solid parts together, so that they are drawn in the file's order; blended ones each by its own distance.
         for group in ([solid] if solid else []) + [[primitive] for primitive in blended]:
             scene.add(pyrender.Mesh(primitives=group), pose=pose)
+    for thing, pose in light_and_camera(head):
+        scene.add(thing, pose=pose)
+    return scene, extras
+
+
+def light_and_camera(head: dict[str, Any]) -> Iterator[tuple[Any, NDArray[np.float64]]]:
+    """The camera and the lights of a file, which trimesh does not keep, each with its pose [4, 4]."""
     lights = head.get("extensions", {}).get("KHR_lights_punctual", {}).get("lights", [])
     for node in head["nodes"]:
         pose = np.array(node.get("matrix", np.eye(4))).reshape(4, 4).T
         if "camera" in node:
             lens = head["cameras"][node["camera"]]["perspective"]
             camera = {"aspectRatio": lens["aspectRatio"], "znear": lens["znear"], "zfar": lens["zfar"]}
-            scene.add(pyrender.PerspectiveCamera(yfov=lens["yfov"], **camera), pose=pose)
+            yield pyrender.PerspectiveCamera(yfov=lens["yfov"], **camera), pose
         if "extensions" in node:
-            scene.add(light_of(lights[node["extensions"]["KHR_lights_punctual"]["light"]]), pose=pose)
-    return scene, extras
+            yield light_of(lights[node["extensions"]["KHR_lights_punctual"]["light"]]), pose
 
 
 def light_of(light: dict[str, Any]) -> pyrender.Light:
