@@ -107,7 +107,7 @@ def _is_asked(task: str) -> bool:
 
 def _by_naturalness() -> list[Declaration]:
     """The renderers, those with natural ranges first."""
-    return sorted(RENDERERS.values(), key=lambda declared: not declared.natural_groups)
+    return sorted(RENDERERS.values(), key=lambda declared: -len(declared.natural_groups))
 
 
 def _renderer(declared: Declaration) -> dict[str, Any]:

@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from scene_attack.errors import InvalidFields, InvalidRequest
+from scene_attack.rendering.declaration import RENDERERS
 from scene_attack.runs.spec import parse
 
 OBJECT = {"mesh": "primitive/sphere"}
@@ -53,10 +54,7 @@ MISTAKES: dict[str, tuple[Any, str]] = {
     ),
     "attack": ("fgsm", 'must be an object, in which "method" is one of apgd, cma-es, fgsm, '),
     "attack.method": ("FGSM", "there is no 'FGSM'; there are apgd, cma-es, fgsm, mi-fgsm, "),
-    "attack.renderer": (
-        "Torch",
-        "there is no 'Torch'; there are image, pyrender, sensor, torch; did you mean 'torch'?",
-    ),
+    "attack.renderer": ("Torch", f"there is no 'Torch'; there are {', '.join(RENDERERS)}; did you mean 'torch'?"),
     "attack.truncation": (0.07, "must be an integer from 1 to 255 or null, not 0.07: U: largest change of an RGB"),
     "attack.momentum": (1, "must be a number of at least 0 and below 1, not 1: momentum"),
     "attack.seconds": (0, "must be a number above 0 and at most 86400 or null, not 0: limit of run time in seconds"),
