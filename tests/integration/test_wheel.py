@@ -17,6 +17,7 @@ PACKAGES = {
     "scene_attack_service",
     "scene_attack_questions",
     "scene_attack_blender",
+    "scene_attack_mitsuba",
     "scene_attack_stock",
     "scene_attack_accuracy",
     "scene_attack_api",

@@ -30,6 +30,7 @@ ELSEWHERE = {"stock", "cycles.py"}
 BROUGHT = {
     "OpenEXR": "Imath",
     "pydantic_core": "pydantic",
+    "drjit": "mitsuba",
     "google": "onnx",
     "markupsafe": "jinja2",
     "starlette": "fastapi",
@@ -81,6 +82,7 @@ LIBRARY = found_in(
     "services/scene_attack",
     "services/scene_attack_questions",
     "services/scene_attack_blender",
+    "services/scene_attack_mitsuba",
     "services/scene_attack_stock",
     "services/scene_attack_accuracy",
 )

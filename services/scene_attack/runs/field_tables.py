@@ -50,7 +50,8 @@ def page() -> str:
             lines += _of_plugins("target.ask", "of a network whose task is", asks, shown)
         if path == "goal":
             lines += _attacks()
-            own = {name: has.settings for name, has in RENDERERS.items() if has.settings is not None}
+            has = [(name, renderer.settings) for name, renderer in RENDERERS.items() if renderer.settings is not None]
+            own = {"` and `".join(name for name, one in has if one is model): model for _, model in has}
             lines += _of_plugins("attack.renderer_settings", "of the renderer", own, shown)
     lines += ["## Renderers and their parameter groups", "", GROUPS, ""]
     columns = ("renderer", "method", "group", "shape", "unit", "step of fgsm", "limit", "natural range")

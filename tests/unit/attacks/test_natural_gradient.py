@@ -148,7 +148,7 @@ def test_what_it_cannot_do_is_refused_with_what_can() -> None:
     assert parse(asked()).attack.radius == 0.01  # type: ignore[attr-defined]
     limited = parse(asked(constraint="backtrack", perceptibility=0.02))
     assert limited.attack.radius == 0.005  # type: ignore[attr-defined]
-    with pytest.raises(Exception, match="for renderers without gradients \\(.*pyrender, sensor.*\\); use fgsm"):
+    with pytest.raises(Exception, match=r"for renderers without gradients \(.*pyrender, sensor.*\); use fgsm"):
         parse(asked(renderer="torch"))
     with pytest.raises(Exception, match="the metric of natural-gradient is that of one image"):
         parse(asked(expectation={"azimuth": 5}))

@@ -12,6 +12,9 @@ from scene_attack_blender.renderer import staged
 from tests.unit.path_tracing.agreement import tracer, values_of
 from tests.unit.rendering import shapes
 
+pytestmark = pytest.mark.slow
+
+
 SKY = 0.7
 
 

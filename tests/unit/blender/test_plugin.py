@@ -1,4 +1,4 @@
-"""The plug-in: its groups are pyrender's, it is refused where Blender is not installed, and it can be left out."""
+"""The plug-in: it is refused where Blender is not installed, and it can be left out."""
 
 import subprocess
 import sys
@@ -13,13 +13,10 @@ from scene_attack.runs.spec import parse
 from scene_attack_blender import plugin
 from tests.unit.jobs.small import LIBRARY, SPHERE
 
+pytestmark = pytest.mark.slow
+
+
 REQUEST = {"scene": SPHERE, "attack": {"renderer": "blender"}}
-
-
-def test_its_groups_are_pyrender_s() -> None:
-    own, pyrender = RENDERERS["blender"], RENDERERS["pyrender"]
-    assert own.groups == pyrender.groups
-    assert (own.varies, own.varied, own.worded) == (pyrender.varies, pyrender.varied, pyrender.worded)
 
 
 def test_the_declaration_imports_neither_torch_nor_bpy() -> None:

@@ -18,6 +18,9 @@ from scene_attack_blender.process import BlenderProcess
 from tests.unit.path_tracing.agreement import tracer
 from tests.unit.rendering import shapes
 
+pytestmark = pytest.mark.slow
+
+
 LIGHTS = Lights(points=(PointLight(), PointLight(position=(-1, 1, 1))), spots=(SpotLight(),))
 
 

@@ -16,7 +16,10 @@ GROUND_FLOOR = {path.stem for path in LIBRARY.glob("*.py")} - {"objects", "owner
 """Modules of the library that every room may import; the page names them in words."""
 PACKAGES = (
     "scene_attack",
-    *(f"scene_attack_{name}" for name in ("service", "questions", "blender", "stock", "accuracy", "api", "worker")),
+    *(
+        f"scene_attack_{name}"
+        for name in ("service", "questions", "blender", "mitsuba", "stock", "accuracy", "api", "worker")
+    ),
 )
 
 

@@ -28,6 +28,9 @@ SIGNIFICANCE = 0.01
 SEEDS = 8
 DENSER = 8
 """Pixels of pyrender's larger image along each side of a pixel."""
+MODEL = {"blender": 0.0, "mitsuba": 0.02}
+"""Share of the brightest by which a tracer's reflection may differ from pyrender's formula: Mitsuba's Fresnel term is a
+dielectric's, and its shadowing is not height-correlated."""
 FINER = 8
 """Rays along each side of a pixel of a reference in closed form."""
 
@@ -83,6 +86,11 @@ def assert_agree(drawn: np.ndarray, reference: np.ndarray, allowed: float | np.n
     p = disagreement(drawn, reference, allowed, where)
     off = (np.abs(drawn.mean(axis=0) - reference)[where]).max()
     assert p > SIGNIFICANCE, f"p = {p:.3g}; the largest difference of a mean is {off:.3g}"
+
+
+def unmapped(renderer: PathTracer) -> set[str]:
+    """What the renderer's plan says that it does not draw."""
+    return {item.what for item in renderer.unmapped()}
 
 
 def averaged(camera: Camera, radius: float, value: Callable[..., np.ndarray]) -> tuple[np.ndarray, np.ndarray]:

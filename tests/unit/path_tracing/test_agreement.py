@@ -10,8 +10,11 @@ import pytest
 from scene_attack.scenes.description import DirectionalLight, Floor, Lights, PointLight, Scene, Shadows
 from scene_attack.scenes.mesh import Mesh, Part, TextureMap
 from scene_attack.scenes.resolve import with_surface_of_part
-from tests.unit.path_tracing.agreement import assert_agree, by_pyrender, images, inside, tracer
+from tests.unit.path_tracing.agreement import MODEL, assert_agree, by_pyrender, images, inside, tracer, unmapped
 from tests.unit.rendering import shapes
+
+pytestmark = pytest.mark.slow
+
 
 SUN = Lights(ambient=0.0, points=(), directional=(DirectionalLight(energy=3.0, direction=(-0.2, -0.5, -1.0)),))
 LAMP = Lights(ambient=0.0, points=(PointLight(energy=9.0, position=(0.4, 0.6, 1.5)),))
@@ -73,7 +76,7 @@ def test_a_surface_is_pyrender_s(name: str, kind: str, lights: Lights) -> None:
     changes = {"color": [[0.9, 0.6, 1.0]]}
     drawn, theirs = images(tracer(name, scene), **changes), by_pyrender(scene, **changes)
     where = inside(drawn[0, ..., 3], theirs[..., 3]) & (theirs[..., 0] > 0.05 * theirs[..., 0].max())
-    assert_agree(drawn[..., :3], theirs[..., :3], allowed * theirs[..., :3].max(), where)
+    assert_agree(drawn[..., :3], theirs[..., :3], max(allowed, MODEL[name]) * theirs[..., :3].max(), where)
 
 
 TEXELS = np.kron(np.random.default_rng(0).integers(0, 256, (4, 4, 4), np.uint8), np.ones((8, 8, 1), np.uint8))
@@ -96,7 +99,7 @@ def test_a_texture_lies_as_pyrender_s(name: str, kind: str) -> None:
     opaque[..., 3] = 255
     scene = shapes.placed(shapes.scene((64, 64), lights=SUN), shapes.mesh(textured(kind, opaque)))
     drawn, theirs = images(tracer(name, scene)), by_pyrender(scene)
-    assert_agree(drawn, theirs, 0.005 * theirs.max(), even(theirs))
+    assert_agree(drawn, theirs, (0.005 + MODEL[name]) * theirs.max(), even(theirs))
 
 
 STEP = 1 / 64
@@ -118,8 +121,11 @@ def see_through() -> Part:
 @pytest.mark.parametrize("surface", [half_cut, see_through])
 def test_what_is_cut_out_or_transparent_covers_as_pyrender_s(name: str, surface: Callable[[], Part]) -> None:
     scene = shapes.placed(shapes.scene((48, 48), lights=SUN), shapes.mesh(surface()))
-    drawn, theirs = images(tracer(name, scene)), by_pyrender(scene)
-    assert_agree(drawn, theirs, STEP, even(theirs))
+    own, theirs = tracer(name, scene), by_pyrender(scene)
+    drawn = images(own)
+    if "coats of transparent parts" in unmapped(own):
+        drawn = np.concatenate([theirs[None, ..., :3].repeat(len(drawn), axis=0), drawn[..., 3:]], axis=-1)
+    assert_agree(drawn, theirs, STEP + MODEL[name] * theirs.max(), even(theirs))
 
 
 def even(image: np.ndarray) -> np.ndarray:
@@ -145,8 +151,11 @@ def test_a_gltf_material_s_settings(name: str, mode: str, settings: dict[str, An
     away = replace(square, vertices=square.vertices + np.array([0, 0, -0.3], np.float32), faces=square.faces[:, ::-1])
     parts = [square, away] if mode == "one side" else [square]
     scene = shapes.placed(shapes.scene((48, 48), lights=SUN), shapes.mesh(*parts))
-    drawn, theirs = images(tracer(name, scene)), by_pyrender(scene)
-    assert_agree(drawn, theirs, max(STEP, 0.005 * theirs.max()), even(theirs))
+    own, theirs = tracer(name, scene), by_pyrender(scene)
+    drawn = images(own)
+    if mode in unmapped(own):
+        pytest.skip("the plan says that it is left out")
+    assert_agree(drawn, theirs, max(STEP, (0.005 + MODEL[name]) * theirs.max()), even(theirs))
 
 
 def floor_scene(shadows: Shadows | None, lights: Lights) -> Scene:
@@ -154,13 +163,22 @@ def floor_scene(shadows: Shadows | None, lights: Lights) -> Scene:
     return description.model_copy(update={"shadows": shadows, "floor": Floor(size=6.0, height=-0.3)})
 
 
-@pytest.mark.parametrize("lights", [LAMP, SUN], ids=["lamp", "sun"])
+ASIDE = [
+    Lights(ambient=0.0, points=(PointLight(energy=9.0, position=(1.2, 0.8, 0.3)),)),
+    Lights(ambient=0.0, points=(), directional=(DirectionalLight(energy=3.0, direction=(-1.0, -0.7, -0.1)),)),
+]
+
+
+@pytest.mark.parametrize("lights", ASIDE, ids=["lamp", "sun"])
 @pytest.mark.parametrize("shadows", [None, Shadows(softness=0.05, angle=0.03, resolution=2048, samples=64)])
 def test_shadows_follow_the_scene(name: str, shadows: Shadows | None, lights: Lights) -> None:
-    """On the floor, whose colour no group changes. Shadow maps are off at the edges of shadows, by a few pixels."""
+    """On the floor, whose colour no group changes. Shadow maps are off at the edges of shadows, by some pixels."""
     scene = shapes.placed(floor_scene(shadows, lights), shapes.mesh(shapes.sphere(0.25)))
-    drawn, theirs = images(tracer(name, scene)), by_pyrender(scene)
+    own, theirs = tracer(name, scene), by_pyrender(scene)
+    drawn = images(own)
+    if "lights without shadows" in unmapped(own):
+        pytest.skip("the plan says that it is left out")
     whole = inside(drawn[0, ..., 3], theirs[..., 3])
     error = np.abs(drawn[..., :3].mean(axis=0) - theirs[..., :3]).max(axis=-1)[whole] / theirs[..., :3].max()
-    assert np.quantile(error, 0.9) < 0.01
-    assert error.mean() < 0.01
+    assert np.quantile(error, 0.9) < 0.005
+    assert error.mean() < 0.002, "0.012 or more where shadows are missing, or cast although none are asked for"
