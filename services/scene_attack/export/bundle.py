@@ -90,7 +90,9 @@ class Finished:
         groups = carried(renderer) if which == "after" else ()
         changes = {group: change for group, change in self.perturbation.items() if group in groups}
         scene = bent(self.scene, changes) if renderer == TORCH.name else self.scene
-        return scene_glb(scene, scene_values(scene, changes), self.lit_by_map, f"environment_{which}.exr")
+        bent_meshes = bool({"bump", "shape"} & changes.keys()) and renderer == TORCH.name
+        values = scene_values(scene, changes)
+        return scene_glb(scene, values, self.lit_by_map, f"environment_{which}.exr", not bent_meshes)
 
 
 def read_finished(files: Files, library: Library) -> Finished:

@@ -24,6 +24,7 @@ from scene_attack.scenes.description import Environment, Lights, Scene, SceneObj
 from scene_attack.scenes.library import Library
 from scene_attack.scenes.mesh import Bytes, Doubles, MapName, MetallicRoughness, Part
 from scene_attack.scenes.resolve import ResolvedScene, resolve, with_surface_of_part
+from scene_attack.scenes.scene_file import DESCRIPTION, GENERATOR, THIS_FILE
 
 _COMPONENTS = {np.dtype(np.float32): 5126, np.dtype(np.uint32): 5125}
 _KINDS = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
@@ -41,7 +42,7 @@ class Glb:
 
     def __init__(self, extras: Mapping[str, Any]) -> None:
         self.json: dict[str, Any] = {
-            "asset": {"version": "2.0", "generator": "scene-attack", "extras": dict(extras)},
+            "asset": {"version": "2.0", "generator": GENERATOR, "extras": dict(extras)},
             "scene": 0,
             "scenes": [{"nodes": []}],
             "nodes": [],
@@ -222,9 +223,16 @@ BRDFS = {
 }
 
 
-def scene_glb(scene: ResolvedScene, values: SceneValues, lit_by_map: bool, environment: str | None = None) -> bytes:
+def scene_glb(
+    scene: ResolvedScene,
+    values: SceneValues,
+    lit_by_map: bool,
+    environment: str | None = None,
+    meshes_are_named: bool = True,
+) -> bytes:
     """The file. With `lit_by_map` the lights are left out: the image's light is the environment map in the file
-    `environment`, which glTF cannot hold."""
+    `environment`, which glTF cannot hold. Without `meshes_are_named` the objects' meshes are others than those of the
+    scene's names."""
     glb = Glb({"units": UNITS, "brdf": BRDFS, "credits": scene.credits(lit_by_map)})
     for placed, pose, color in zip(scene.placed, values.poses, values.colors, strict=True):
         parts = []
@@ -241,7 +249,11 @@ def scene_glb(scene: ResolvedScene, values: SceneValues, lit_by_map: bool, envir
     if not lit_by_map:
         for light in values.lights:
             _light(glb, light)
-    glb.json["scenes"][0] |= {"name": "scene", "extras": _scene_extras(scene, values, lit_by_map, environment)}
+    extras = _scene_extras(scene, values, lit_by_map, environment)
+    described = values.description.model_dump(mode="json")
+    if not meshes_are_named:
+        described["objects"] = [thing | {"mesh": THIS_FILE} for thing in described["objects"]]
+    glb.json["scenes"][0] |= {"name": "scene", "extras": extras | {DESCRIPTION: described}}
     return glb.written()
 
 
@@ -249,6 +261,7 @@ def _scene_extras(
     scene: ResolvedScene, values: SceneValues, lit_by_map: bool, environment: str | None
 ) -> dict[str, Any]:
     extras: dict[str, Any] = {
+        "description_is": "the scene as a request has it: a request that has this file as its source gets it back",
         "size": list(scene.description.camera.size),
         "ground": list(scene.description.ground),
         "ground_is": "the displayed colour behind the objects, composited by coverage",

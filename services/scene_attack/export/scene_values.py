@@ -1,9 +1,9 @@
 """A scene with numbers for everything that an attack may move: poses, colours, camera and lights."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import pi
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from torch import Tensor
@@ -11,9 +11,13 @@ from torch import Tensor
 from scene_attack.rendering.pyrender.declaration import PYRENDER, has_groups_of_pyrender
 from scene_attack.rendering.pyrender.parameters import SceneParameters
 from scene_attack.rendering.torch.declaration import TORCH
+from scene_attack.runs.described import described
+from scene_attack.scenes.description import DirectionalLight, Lights, PointLight, Scene, SpotLight
 from scene_attack.scenes.mesh import Doubles
 from scene_attack.scenes.resolve import ResolvedScene
 from scene_attack.scenes.view import camera_pose
+
+AnyLight = TypeVar("AnyLight", PointLight, DirectionalLight, SpotLight)
 
 
 @dataclass(frozen=True)
@@ -50,6 +54,7 @@ class SceneValues:
 
     poses: world from mesh of all that is drawn, [things, 4, 4], what is fixed last. colors: linear factors on their
     base colours [things, 3]. camera: world from camera [4, 4]. ambient: mean radiance of the light from all around.
+    description: the scene that has these values.
     """
 
     poses: Doubles
@@ -57,6 +62,7 @@ class SceneValues:
     camera: Doubles
     ambient: float
     lights: tuple[LightValues, ...]
+    description: Scene
 
 
 def scene_values(scene: ResolvedScene, perturbation: Mapping[str, Tensor]) -> SceneValues:
@@ -77,13 +83,33 @@ def scene_values(scene: ResolvedScene, perturbation: Mapping[str, Tensor]) -> Sc
         ),
         *(LightValues(f"spot {i}", "spot", row[0], row[1:4], row[4:7], cones[i]) for i, row in enumerate(lit.spots[0])),
     ]
+    update: dict[str, Any] = {"source": None}
+    if "illumination" in moved:
+        update["lights"] = _lights(scene.description.lights, float(lit.ambients[0]), lights)
     return SceneValues(
+        description=described(scene.description, perturbation).model_copy(update=update),
         poses=poses,
         colors=lit.colors[0],
         camera=camera_pose(*(float(x) for x in at["camera"])),
         ambient=float(lit.ambients[0]),
         lights=tuple(lights),
     )
+
+
+def _lights(lights: Lights, ambient: float, values: Sequence[LightValues]) -> Lights:
+    """The lights of a scene with the energies, positions and directions of `values`, which are in the same order."""
+    rest = iter(values)
+
+    def changed(light: AnyLight) -> AnyLight:
+        new = next(rest)
+        update: dict[str, Any] = {"energy": float(new.energy)}
+        for name, vector in (("position", new.position), ("direction", new.direction)):
+            if name in type(light).model_fields:
+                update[name] = tuple(vector.tolist())
+        return light.model_copy(update=update)
+
+    kinds = {name: tuple(map(changed, getattr(lights, name))) for name in ("points", "directional", "spots")}
+    return lights.model_copy(update=kinds | {"ambient": ambient})
 
 
 def carried(renderer: str) -> tuple[str, ...]:

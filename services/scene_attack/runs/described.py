@@ -4,9 +4,14 @@ the camera's place, which are fields of a scene. Renderers that have the same gr
 Lights are left as they were: a question about a scene is not about them.
 """
 
-from scene_attack.rendering.protocol import Parameters
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
 from scene_attack.rendering.pyrender.declaration import has_groups_of_pyrender
 from scene_attack.scenes.description import Scene
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 OF_OBJECTS = ("color", "translation", "rotation")
 """The groups that are fields of the scene's objects, by the fields' names."""
@@ -19,7 +24,7 @@ def can_carry(renderer: str, groups: tuple[str, ...]) -> bool:
     return has_groups_of_pyrender(renderer) and any(group in (*OF_OBJECTS, CAMERA) for group in groups)
 
 
-def described(scene: Scene, perturbation: Parameters) -> Scene:
+def described(scene: Scene, perturbation: "Mapping[str, Tensor]") -> Scene:
     """The scene with those groups of a perturbation in it that are its fields."""
     objects = []
     for index, placed in enumerate(scene.objects):

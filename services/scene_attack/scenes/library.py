@@ -4,6 +4,7 @@ import re
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterable
+from functools import partial
 from hashlib import sha256
 from pathlib import Path
 from typing import Literal
@@ -19,7 +20,7 @@ from scene_attack.scenes.environment import FILE_KINDS, EnvironmentMap, read_fil
 from scene_attack.scenes.furniture import Model, archive_of, load_model, read_catalogue, read_icon
 from scene_attack.scenes.mesh import FIT_RADIUS, Mesh, fitted
 from scene_attack.scenes.primitives import PRIMITIVES, primitive
-from scene_attack.scenes.scene_file import SceneFile, node_of, parts_named, upload_of, with_known_meshes
+from scene_attack.scenes.scene_file import SceneFile, as_known, node_of, parts_named, upload_of
 from scene_attack.scenes.uploads import SCENE_KINDS, Upload, Uploads, is_map
 from scene_attack.text import did_you_mean
 
@@ -106,6 +107,14 @@ def environment_entry(name: str) -> Entry:
     )
 
 
+def _is_there(check: Callable[[str, Callable[[str], bool]], None], may_use: Callable[[str], bool], name: str) -> bool:
+    try:
+        check(name, may_use)
+    except InvalidRequest:
+        return False
+    return True
+
+
 KEPT_MESHES = 32
 """Number of recently used meshes kept in memory; a large mesh takes about 30 MB."""
 _UPLOAD = re.compile(r"sha256:([0-9a-f]{64})")
@@ -178,7 +187,8 @@ class Library:
             raise InvalidRequest("file", f"a {record.kind} file holds no scene; {' and '.join(SCENE_KINDS)} files do")
         if scene.unusable:
             raise InvalidRequest("file", f"it is a mesh, but no scene: {scene.unusable}")
-        return with_known_meshes(scene, name, lambda mesh: self.entry(mesh) is not None)
+        has_mesh, has_map = (partial(_is_there, check, may_use) for check in (self.check_mesh, self.check_map))
+        return as_known(scene, name, has_mesh, has_map)
 
     def check_mesh(self, name: str, may_use: Callable[[str], bool] = lambda _: True) -> None:
         """Raises InvalidRequest("mesh", …) as `mesh` does for an unknown name, without reading a known one's file.
@@ -188,7 +198,7 @@ class Library:
         upload = upload_of(name)
         if (_UPLOAD.fullmatch(upload) and not may_use(upload)) or self.entry(upload) is None:
             raise self._unknown_mesh(name)
-        if upload != name and not parts_named(name, self.scene(upload)):
+        if upload != name and not parts_named(name, self._scene(upload)):
             raise InvalidRequest(
                 "mesh", f"there is nothing to draw of {name!r}: its file has no such node with triangles"
             )
@@ -217,9 +227,9 @@ class Library:
         found = {}
         for name in names:
             node, record = node_of(name), self._record(name)
-            scene = None if record is None or node is None else self._uploads.load_scene(record)
-            if scene is not None and node is not None and node < len(scene.nodes):
-                found[name] = scene.nodes[node].name
+            nodes = () if node is None else self._scene(name).nodes
+            if node is not None and node < len(nodes):
+                found[name] = nodes[node].name
             elif record is not None and record.about.title is not None:
                 found[name] = record.about.title
         return {name: title for name, title in found.items() if title}
@@ -349,9 +359,14 @@ class Library:
             return load_model(model, self._processed)
         raise self._unknown_mesh(name)
 
+    def _scene(self, name: str) -> SceneFile:
+        """The scene of an upload, or of that of which a part is named, as it is stored; an empty one if it has none."""
+        record = self._record(name)
+        return (None if record is None else self._uploads.load_scene(record)) or SceneFile()
+
     def _part_of_scene(self, name: str, whole: Mesh) -> Mesh:
         """The mesh of a node, fitted, or of all but some nodes, in the frame of the whole file's mesh."""
-        scene = self.scene(upload_of(name))
+        scene = self._scene(name)
         numbers = parts_named(name, scene)
         if not numbers or scene.extent is None:
             raise self._unknown_mesh(name)

@@ -19,6 +19,10 @@ MAX_DEPTH = 64
 """Largest number of nodes within each other."""
 MAX_LIGHTS = 1_000
 MAX_CAMERAS = 1_000
+GENERATOR, DESCRIPTION = "scene-attack", "description"
+"""The generator of a file that this project wrote, and the name in its scene's extras of the scene's description."""
+THIS_FILE = "this file"
+"""The name in such a description of a mesh that is in the file alone."""
 LONGEST_NAME = 100
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Vector = tuple[Finite, Finite, Finite]
@@ -158,18 +162,27 @@ def vector(values: Doubles) -> Vector:
     return x, y, z
 
 
-def with_known_meshes(scene: SceneFile, file: str, knows: Callable[[str], bool]) -> SceneFile:
-    """Returns the scene of the upload `file`, in whose own description the meshes that there are not are the file's."""
+def as_known(scene: SceneFile, file: str, has_mesh: Callable[[str], bool], has_map: Callable[[str], bool]) -> SceneFile:
+    """Returns the scene of the upload `file`, in whose own description the meshes that there are not here are those of
+    the file, and an environment map that there is not here is the default one."""
     if scene.own is None:
         return scene
     own = dict(scene.own)
+    lights = own.get("lights")
+    light = lights.get("environment") if isinstance(lights, dict) else None
+    if isinstance(lights, dict) and isinstance(light, dict) and not has_map(str(light.get("map"))):
+        own["lights"] = {name: part for name, part in lights.items() if name != "environment"}
+        missing = f"the environment map {str(light.get('map'))[:200]!r}, which is not here"
+        scene = scene.model_copy(update={"left_out": (*scene.left_out, missing)})
     for part, word in (("objects", "object"), ("fixed", "fixed")):
         listed = own.get(part)
+        if listed is None:
+            continue
         own[part] = [
             thing
-            if not isinstance(thing, dict) or knows(str(thing.get("mesh")))
+            if not isinstance(thing, dict) or has_mesh(str(thing.get("mesh")))
             else thing | _as_drawn(scene, file, f"{word} {k}")
-            for k, thing in enumerate(listed if isinstance(listed, list) else ())
+            for k, thing in enumerate(listed if isinstance(listed, list) else [])
         ]
     return scene.model_copy(update={"own": own})
 

@@ -1,6 +1,7 @@
 """Reads what a glTF 2.0 file holds beside its triangles: the tree of its nodes, its cameras, and its lights
 (KHR_lights_punctual)."""
 
+import json
 from math import pi
 from typing import Any
 
@@ -10,6 +11,8 @@ from scene_attack.errors import Unreadable, shortened
 from scene_attack.scenes.mesh import FIT_RADIUS, Doubles, ball
 from scene_attack.scenes.reading.gltf import GltfFile, PlacedNode, Placement, elements, number, numbers
 from scene_attack.scenes.scene_file import (
+    DESCRIPTION,
+    GENERATOR,
     MAX_CAMERAS,
     MAX_DEPTH,
     MAX_LIGHTS,
@@ -25,8 +28,8 @@ from scene_attack.scenes.scene_file import (
 
 LIGHTS = "KHR_lights_punctual"
 INSTANCES = "EXT_mesh_gpu_instancing"
-GENERATOR, DESCRIPTION = "scene-attack", "description"
-"""The generator of a file that this project wrote, and the name in its scene's extras of the scene's description."""
+LONGEST_DESCRIPTION = 1_000_000
+"""Characters of a description; a picture that is its background may have 400,000."""
 LUMINANCE = (0.2126, 0.7152, 0.0722)
 """Weights of linear RGB in the luminance (ITU-R BT.709)."""
 
@@ -98,7 +101,7 @@ def _own(file: GltfFile) -> dict[str, Any] | None:
         return None
     extras = file.item("scenes", chosen).get("extras")
     described = extras.get(DESCRIPTION) if isinstance(extras, dict) else None
-    return described if isinstance(described, dict) else None
+    return described if isinstance(described, dict) and len(json.dumps(described)) <= LONGEST_DESCRIPTION else None
 
 
 def _check_depth(parents: list[int | None]) -> None:
