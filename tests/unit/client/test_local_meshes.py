@@ -20,6 +20,7 @@ from scene_attack.scenes.library import Library
 from scene_attack_service.settings import DEFAULTS, Settings
 from tests.unit.client.scripted_service import CAMPAIGN, UPLOADED, Script, client, says, script
 from tests.unit.client.scripted_service import job as answered
+from tests.unit.scenes.scene_files import Room
 from tests.unit.scenes.test_companion_files import MTL, OBJ, image
 
 pytestmark = pytest.mark.slow
@@ -190,3 +191,13 @@ def test_attack_takes_a_file_of_the_working_directory(folder: Path, monkeypatch:
     found = sa.attack(scene, target, {"renderer": "pyrender", "steps": 1, "queries": 4})
     asked: Any = found.record.spec
     assert asked["scene"]["objects"][0]["mesh"] == to_library(Settings())(folder / "chair.obj")[0]
+
+
+def test_a_scene_by_its_path_is_added_and_followed(folder: Path) -> None:
+    (folder / "room.glb").write_bytes(Room().glb)
+    source = {"format": "file", "file": "./room.glb", "change": ["Ball"]}
+    job = read_job(written(folder, {"scene": {"source": source}}), Settings())
+    assert job.scene.objects[0].mesh.endswith("#1")
+    assert job.scene.objects[0].mesh.startswith("sha256:")
+    with pytest.raises(InvalidFields, match=r"scene\.source\.file: \./none\.glb: there is no file"):
+        read_job(written(folder, {"scene": {"source": source | {"file": "./none.glb"}}}), Settings())

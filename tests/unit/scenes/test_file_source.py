@@ -6,7 +6,7 @@ by scipy's rotations, and lights are summed in lux.
 
 import json
 import struct
-from math import tan
+from math import cos, tan
 from pathlib import Path
 from typing import Any
 
@@ -116,7 +116,8 @@ def test_the_origin_is_on_the_line_of_sight_and_one_scale_makes_scene_units(libr
 
 def test_each_light_has_its_share_of_the_light_everywhere(library: Library) -> None:
     room = Room()
-    room.light({"type": "spot", "intensity": 500, "spot": {"outerConeAngle": 0.9}}, name="Spot", translation=[0, 3, 0])
+    spot = {"type": "spot", "intensity": 500, "spot": {"outerConeAngle": 0.9}}
+    room.light(spot, name="Spot", translation=[0, 3, 0], rotation=[-(0.5**0.5), 0, 0, 0.5**0.5])  # it shines down
     spec = job(library, room.glb, change=["Ball", "Lamp"])
     stated = spec.scene.source.model_dump()  # type: ignore[union-attr]
     lights, scale = spec.scene.lights, stated["scale"]
@@ -129,6 +130,11 @@ def test_each_light_has_its_share_of_the_light_everywhere(library: Library) -> N
     down = Rotation.from_quat([-0.5, 0, 0, 0.75**0.5]).apply([0, 0, -1])
     assert lights.directional[0].direction == pytest.approx(down, abs=1e-7)
     assert lights.environment.map == "lights"
+    corners = np.concatenate([BALL, LAMP])
+    away = middle(corners) - np.array([0, 3, 0])
+    share = (-away[1] / np.linalg.norm(away) - cos(0.9)) / (1 - cos(0.9))
+    lux = 800 / ((middle(corners) - np.array([2, 4, 2])) ** 2).sum() + 3 + 500 / (away**2).sum() * share**2
+    assert stated["exposure"] * lux == pytest.approx(30 / 3**2, rel=1e-5)
 
 
 def test_a_file_without_a_camera_is_seen_by_the_default_one_which_all_that_may_change_fits(library: Library) -> None:
@@ -153,6 +159,13 @@ def test_nodes_are_named_by_names_patterns_and_numbers(library: Library) -> None
     whole = job(library, Room().glb)
     assert [thing.mesh.partition("#")[2] for thing in whole.scene.objects] == ["0", "1", "2"]
     assert whole.scene.fixed == ()
+
+
+def test_an_object_has_all_that_is_below_its_node(library: Library) -> None:
+    scenes = [resolve(job(library, Room().glb, change=["Ball", name]).scene, library) for name in ("Table", "Lamp")]
+    table, lamp = (drawn(scene)["object 1"] for scene in scenes)
+    assert np.array_equal(table, lamp)
+    assert [scene.placed[-1].mesh.triangles for scene in scenes] == [2, 2]
 
 
 def test_a_lone_root_without_triangles_stands_for_what_is_below_it(library: Library) -> None:
