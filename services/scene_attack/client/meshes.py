@@ -25,7 +25,8 @@ InvalidRequest.
 """
 Call = Callable[["Request[Any]"], Any]
 """Sends a request to a service and returns its answer, as `Client.call` does."""
-_OF_A_SCENE = ("source.file", "objects.*.mesh", "fixed.*.mesh")
+_SCENE = "source.file"
+_OF_A_SCENE = (_SCENE, "objects.*.mesh", "fixed.*.mesh")
 _PLACES = (
     *(f"{scene}.{part}" for scene in ("scene", "jobs.*.scene", "grids.*.scenes.*") for part in _OF_A_SCENE),
     "grids.*.scenes.meshes.*",
@@ -47,7 +48,7 @@ def with_meshes_added(
     added: dict[str, str] = {}
     not_added: dict[str, str] = {}
 
-    def named(mesh: str, _: str) -> str:
+    def named(mesh: str, place: str) -> str:
         if not isinstance(mesh, MeshArrays) and not is_path(mesh):
             if not mesh.startswith(_NAMED) and (folder / mesh).is_file():
                 not_added[mesh] = f"there is no mesh {mesh!r}; a file of one's own is written './{mesh}'"
@@ -57,7 +58,9 @@ def with_meshes_added(
             except InvalidRequest as error:
                 not_added[mesh] = f"{mesh}: {error.detail}"
             else:
-                for note in notes:
+                for note in (
+                    notes if not place.endswith(_SCENE) else ()
+                ):  # a scene shows more, and says what it does not
                     say(f"{mesh}: not shown: {note}")
         return added.get(mesh, mesh)
 

@@ -14,7 +14,7 @@ from scene_attack.rendering.torch.declaration import TORCH
 from scene_attack.runs.described import described
 from scene_attack.scenes.description import DirectionalLight, Lights, PointLight, Scene, SpotLight
 from scene_attack.scenes.mesh import Doubles
-from scene_attack.scenes.resolve import ResolvedScene
+from scene_attack.scenes.resolve import ResolvedScene, far_plane
 from scene_attack.scenes.view import camera_pose
 
 AnyLight = TypeVar("AnyLight", PointLight, DirectionalLight, SpotLight)
@@ -84,10 +84,14 @@ def scene_values(scene: ResolvedScene, perturbation: Mapping[str, Tensor]) -> Sc
         *(LightValues(f"spot {i}", "spot", row[0], row[1:4], row[4:7], cones[i]) for i, row in enumerate(lit.spots[0])),
     ]
     update: dict[str, Any] = {"source": None}
+    now = described(scene.description, perturbation)
+    if moved:  # it keeps the far plane, on which the rounding of depths depends
+        far = far_plane(scene.description, scene.view)
+        update["camera"] = now.camera.model_copy(update={"far": far})
     if "illumination" in moved:
         update["lights"] = _lights(scene.description.lights, float(lit.ambients[0]), lights)
     return SceneValues(
-        description=described(scene.description, perturbation).model_copy(update=update),
+        description=now.model_copy(update=update),
         poses=poses,
         colors=lit.colors[0],
         camera=camera_pose(*(float(x) for x in at["camera"])),

@@ -76,6 +76,11 @@ class Camera(Model):
     field_of_view: Annotated[float, Field(ge=0.01, le=2.8, allow_inf_nan=False)] = Field(
         default=FIELD_OF_VIEW, description="vertical field of view, radians"
     )
+    far: Annotated[float, Field(ge=0.1, le=1e5, allow_inf_nan=False)] | None = Field(
+        default=None,
+        exclude_if=absent,
+        description="distance beyond which nothing is drawn, scene units; null: behind all that is in the scene",
+    )
     size: tuple[Pixels, Pixels] = Field(
         default=(224, 224), description="height and width in pixels; the paper's is 448×448"
     )

@@ -6,6 +6,7 @@ of sight of its camera: turning is left out, since +y is up in both. Light inten
 too.
 """
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from fnmatch import fnmatchcase
 from math import asin, atan2, cos
@@ -47,16 +48,16 @@ from scene_attack.text import did_you_mean
 
 MAX_OBJECTS = 16
 """Largest number of objects of a scene."""
-REACH = 100.0
-"""Largest coordinate and scale of a scene."""
+REACH = 99.0
+"""Largest coordinate and scale here; a scene may have 100, to which rounding adds."""
 NEAREST = 0.05
 """Smallest distance of a scene's camera."""
 IRRADIANCE = 30 / 9
 """Sum of the irradiances that the file's lights have where the objects are: a default point light's at distance 3."""
 SMALLEST = 1e-3
 """Smallest scale of an object."""
-FARTHEST = 50.0
-"""Distance of a light from the objects, scene units, beyond which one that lights them may need too large an energy."""
+MAX_ENERGY = 9_900
+"""Largest energy of a light here; it may have 10,000."""
 MAX_LISTED = 20
 """Nodes that a message lists."""
 
@@ -181,7 +182,7 @@ def _following(
     }
     if fixed:
         fields["fixed"] = tuple(frame.placed(mesh, scene.extent) for mesh in fixed)
-    lit, exposure, dark = _lights(scene.lights, np.array(around.centre), frame)
+    lit, exposure, dark = _lights(scene.lights, around, frame)
     return FollowingScene(fields | lit, scale, exposure, [*dark, *scene.left_out])
 
 
@@ -217,7 +218,7 @@ def _picked(scene: SceneFile, change: Sequence[str] | None) -> list[int]:
         return picked
     chosen: set[int] = set()
     for k, pattern in enumerate(change):
-        matching = {node for node in drawn if pattern == f"#{node}" or fnmatchcase(scene.nodes[node].name, pattern)}
+        matching = {node for node in drawn if pattern == f"#{node}" or _matches(scene.nodes[node].name, pattern)}
         if not matching:
             raise InvalidRequest(f"change.{k}", _unknown(scene, pattern, drawn))
         chosen |= matching
@@ -225,6 +226,11 @@ def _picked(scene: SceneFile, change: Sequence[str] | None) -> list[int]:
     if not 0 < len(picked) <= MAX_OBJECTS:
         raise InvalidRequest("change", f"it names {len(picked):,} nodes; from 1 to {MAX_OBJECTS} may change")
     return picked
+
+
+def _matches(name: str, pattern: str) -> bool:
+    """Whether a name is a pattern, in which `*` alone has a meaning."""
+    return fnmatchcase(name, re.sub(r"[\[?]", r"[\g<0>]", pattern))
 
 
 def things(scene: SceneFile) -> list[int]:
@@ -327,61 +333,44 @@ def _scale(view: _View, extents: Sequence[Extent]) -> float:
 
 
 def _lights(
-    lights: Sequence[FileLight], middle: Doubles, frame: _Frame
+    lights: Sequence[FileLight], around: Extent, frame: _Frame
 ) -> tuple[dict[str, Any], float | None, list[str]]:
-    """The lights of a scene, the factor from a file's intensities to energies, and what is not shown: of each kind the
-    strongest where the objects are, whose middle is at `middle`, stay."""
-    left_out: list[str] = []
+    """The lights of a scene, the factor from a file's intensities to energies, and what is not shown. Of each kind the
+    strongest at the objects, which are `around` there, stay."""
+    missing: list[str] = []
     kept: list[FileLight] = []
     for kind in ("point", "directional", "spot"):
-        own = sorted((light for light in lights if light.kind == kind), key=lambda light: -_irradiance(light, middle))
-        shown = [light for light in own if light.intensity > 0 and _is_near(light, middle, frame)][:MAX_LIGHTS]
+        own = sorted((light for light in lights if light.kind == kind), key=lambda light: -_irradiance(light, around))
+        shown = [light for light in own if light.intensity > 0 and _is_within_reach(light, frame)][:MAX_LIGHTS]
         kept += shown
         if dropped := [light for light in own if not any(light is other for other in shown)]:
-            left_out.append(
-                f"{len(dropped)} of {len(own)} {kind} lights, {_named(dropped)}: they are dark, more than {FARTHEST:g} "
-                f"scene units away, or weaker at the objects than {MAX_LIGHTS} others"
+            missing.append(
+                f"{len(dropped)} of {len(own)} {kind} lights, {_named(dropped)}: they are dark, far away, or weaker at "
+                f"the objects than {MAX_LIGHTS} others"
             )
     if colored := [light for light in kept if light.colored]:
-        left_out.append(f"the colour of the lights {_named(colored)}: lights are white here")
-    total = sum(_irradiance(light, middle) for light in kept)
+        missing.append(f"the colour of the lights {_named(colored)}: lights are white here")
+    total = sum(_irradiance(light, around) for light in kept)
     if not total > 0:
-        left_out += ["its lights: none shines where the objects are, so the default lights do"] if lights else []
-        return {}, None, left_out
-    exposure = IRRADIANCE / total
-    near = exposure * frame.scale**2
-    made: dict[str, Any] = {
-        "points": tuple(
-            PointLight(energy=near * light.intensity, position=frame.point(light.position))
-            for light in kept
-            if light.kind == "point"
-        ),
-        "directional": tuple(
-            DirectionalLight(energy=exposure * light.intensity, direction=light.direction)
-            for light in kept
-            if light.kind == "directional"
-        ),
-        "spots": tuple(
-            SpotLight(
-                energy=near * light.intensity,
-                position=frame.point(light.position),
-                direction=light.direction,
-                inner_angle=light.inner_angle,
-                outer_angle=light.outer_angle,
-            )
-            for light in kept
-            if light.kind == "spot"
-        ),
-    }
-    return {"lights": Lights(**made, environment=Environment(map=LIGHTS))}, exposure, left_out
+        missing += ["its lights: none shines where the objects are, so the default lights do"] if lights else []
+        return {}, None, missing
+    area = {"point": frame.scale**2, "spot": frame.scale**2, "directional": 1.0}
+    exposure = min(IRRADIANCE / total, MAX_ENERGY / max(light.intensity * area[light.kind] for light in kept))
+    made: dict[str, list[Any]] = {"points": [], "directional": [], "spots": []}
+    for light in kept:
+        energy, position = exposure * area[light.kind] * light.intensity, frame.point(light.position)
+        if light.kind == "point":
+            made["points"].append(PointLight(energy=energy, position=position))
+        elif light.kind == "directional":
+            made["directional"].append(DirectionalLight(energy=energy, direction=light.direction))
+        else:
+            cone = {"inner_angle": light.inner_angle, "outer_angle": light.outer_angle}
+            made["spots"].append(SpotLight(energy=energy, position=position, direction=light.direction, **cone))
+    return {"lights": Lights(**made, environment=Environment(map=LIGHTS))}, exposure, missing
 
 
-def _is_near(light: FileLight, middle: Doubles, frame: _Frame) -> bool:
-    """Whether a scene can hold a light; one that is far has more energy than a light may have."""
-    if light.kind == "directional":
-        return True
-    away = frame.scale * float(np.linalg.norm(middle - np.array(light.position)))
-    return away <= FARTHEST and max(map(abs, frame.point(light.position))) <= REACH
+def _is_within_reach(light: FileLight, frame: _Frame) -> bool:
+    return light.kind == "directional" or max(map(abs, frame.point(light.position))) <= REACH
 
 
 def _named(lights: Sequence[FileLight]) -> str:
@@ -389,14 +378,16 @@ def _named(lights: Sequence[FileLight]) -> str:
     return names if len(lights) <= 3 else f"{names} and {len(lights) - 3} more"
 
 
-def _irradiance(light: FileLight, point: Doubles) -> float:
-    """The irradiance of a surface at a point that faces a light; lux."""
+def _irradiance(light: FileLight, around: Extent) -> float:
+    """The irradiance, lux, of a surface that faces a light where the objects are; of a light among them, at the surface
+    of the ball that holds them."""
     if light.kind == "directional":
         return light.intensity
-    towards = point - np.array(light.position)
-    distance = max(float(np.linalg.norm(towards)), 1e-9)
-    if light.kind == "point":
-        return light.intensity / distance**2
+    towards = np.subtract(around.centre, light.position)
+    distance = float(np.linalg.norm(towards))
+    at_objects = light.intensity / max(distance, around.radius) ** 2
+    if light.kind == "point" or distance == 0:
+        return at_objects
     low, high = cos(light.outer_angle), cos(light.inner_angle)
     along = float(towards @ np.array(light.direction)) / distance
-    return light.intensity / distance**2 * min(1.0, max(0.0, (along - low) / max(1e-3, high - low))) ** 2
+    return at_objects * min(1.0, max(0.0, (along - low) / max(1e-3, high - low))) ** 2

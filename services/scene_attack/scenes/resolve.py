@@ -344,7 +344,7 @@ def resolve(scene: Scene, library: Library) -> ResolvedScene:
     scene = _standing(scene, meshes)
     models = tuple(model_matrix(placed) for placed in scene.objects)
     view = camera_to_world(scene.camera)
-    lens = projection(scene.camera, _far(scene, view))
+    lens = projection(scene.camera, far_plane(scene, view))
     for k, (mesh, model) in enumerate(zip(meshes, models, strict=True)):
         _in_view(scene, k, mesh, lens @ np.linalg.inv(view) @ model)
     if scene.floor is not None:
@@ -438,9 +438,11 @@ def _lowest(mesh: Mesh, model: Doubles) -> float:
     return min(float((part.vertices * model[1, :3]).sum(axis=1).min() + model[1, 3]) for part in mesh.parts)
 
 
-def _far(scene: Scene, view: Doubles) -> float:
-    """Returns the distance of a far plane behind all that is in the scene, with room for objects that an attack moves,
-    and behind the floor."""
+def far_plane(scene: Scene, view: Doubles) -> float:
+    """Returns the distance of the far plane: the camera's own, or one behind all that is in the scene, with room for
+    objects that an attack moves, and behind the floor."""
+    if scene.camera.far is not None:
+        return scene.camera.far
     reach = [
         float(np.linalg.norm(np.subtract(o.translation, view[:3, 3]))) + o.scale * FIT_RADIUS
         for o in (*scene.objects, *scene.fixed)

@@ -40,7 +40,7 @@ class Extent(_Record):
     that holds them; metres."""
 
     centre: Vector
-    size: tuple[Finite, Finite, Finite]
+    size: Vector
     radius: Annotated[Finite, Field(gt=0)]
 
 

@@ -41,7 +41,7 @@ MISTAKES: dict[str, tuple[Any, str]] = {
     "scene.camera.size": ([224], "must be a list of 2, each an integer from 1 to 2048, not [224]: height and width"),
     "scene.camera.fov": (
         1,
-        "there is no such field; there are azimuth, elevation, distance, roll, field_of_view, size",
+        "there is no such field; there are azimuth, elevation, distance, roll, field_of_view, far, size",
     ),
     "scene.objects.0.color": ([1, 0, 0, 1], "must be a list of 3, each a number from 0 to 1, not [1, 0, 0, 1]: linear"),
     "scene.objects.0.translation": ([0, 0], "must be a list of 3, each a number from -100 to 100, not [0, 0]: posit"),

@@ -6,12 +6,13 @@ by scipy's rotations, and lights are summed in lux.
 
 import json
 import struct
-from math import cos, tan
+from math import cos, pi, tan
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from numpy.linalg import norm
 from numpy.typing import NDArray
 from scipy.spatial.distance import directed_hausdorff
 from scipy.spatial.transform import Rotation
@@ -133,8 +134,21 @@ def test_each_light_has_its_share_of_the_light_everywhere(library: Library) -> N
     corners = np.concatenate([BALL, LAMP])
     away = middle(corners) - np.array([0, 3, 0])
     share = (-away[1] / np.linalg.norm(away) - cos(0.9)) / (1 - cos(0.9))
-    lux = 800 / ((middle(corners) - np.array([2, 4, 2])) ** 2).sum() + 3 + 500 / (away**2).sum() * share**2
+    radius = max(
+        norm(middle(ball) - middle(corners)) + norm(ball - middle(ball), axis=1).max() for ball in (BALL, LAMP)
+    )
+    assert norm(away) < radius < norm(middle(corners) - np.array([2, 4, 2]))
+    lux = 800 / norm(middle(corners) - np.array([2, 4, 2])) ** 2 + 3 + 500 / radius**2 * share**2
     assert stated["exposure"] * lux == pytest.approx(30 / 3**2, rel=1e-5)
+
+
+def test_a_spot_that_hardly_reaches_the_objects_has_no_more_energy_than_a_light_may_have(library: Library) -> None:
+    room = Room().without("Bulb", "Sun")
+    spot = {"type": "spot", "intensity": 500, "spot": {"outerConeAngle": 0.3}}
+    nearly_past = Rotation.from_euler("x", 0.2995 - pi / 2).as_quat().tolist()
+    room.light(spot, name="Spot", translation=[-1, 4.5, 0], rotation=nearly_past)
+    [light] = job(library, room.glb, change=["Ball"]).scene.lights.spots
+    assert light.energy == pytest.approx(9_900)
 
 
 def test_a_file_without_a_camera_is_seen_by_the_default_one_which_all_that_may_change_fits(library: Library) -> None:
@@ -156,6 +170,8 @@ def test_nodes_are_named_by_names_patterns_and_numbers(library: Library) -> None
     assert picked("Ball") == picked("#1") == ["1"]
     assert picked("*a*") == ["1", "2"]  # the table's lamp is a part of the table
     assert picked("Ball", "Lamp") == ["1", "3"]
+    brackets = job(library, changed(Ball={"name": "Ball[1]?"}), change=["B*[1]?"])
+    assert [thing.mesh.partition("#")[2] for thing in brackets.scene.objects] == ["1"]
     whole = job(library, Room().glb)
     assert [thing.mesh.partition("#")[2] for thing in whole.scene.objects] == ["0", "1", "2"]
     assert whole.scene.fixed == ()
@@ -341,9 +357,12 @@ def test_a_camera_that_sees_nothing_is_refused_by_the_scene(library: Library) ->
 
 
 def test_poses_and_targets_that_are_not_drawn_are_said(library: Library) -> None:
-    data = changed(Ball={"skin": 0}, tree={"skins": [{"joints": [0]}], "animations": [{}]})
+    unread = ["KHR_lights_punctual", "KHR_materials_sheen"]
+    skins = {"skins": [{"joints": [0]}], "animations": [{}], "extensionsUsed": unread}
+    data = changed(Ball={"skin": 0}, tree=skins)
     left_out = job(library, data, change=["Ball"]).scene.source.left_out()  # type: ignore[union-attr]
-    assert left_out == ("the pose of 'Ball': it is drawn as it was before its skeleton bends it", "its animations")
+    pose = "the pose of 'Ball': it is drawn as it was before its skeleton bends it"
+    assert left_out == (pose, "its animations", "the extension KHR_materials_sheen")
 
 
 def test_hostile_names_are_lines_without_control_characters(library: Library) -> None:

@@ -166,7 +166,7 @@ export class Fields {
     if (place === "attack.groups") return this.groups(path);
     if (kind === "tuple") return this.tuple(name, schema, path);
     if (place === "scene.background.image") return this.picture(name, schema, path);
-    if (place === "scene.objects.*.mesh") return this.mesh(path);
+    if (place === "scene.objects.*.mesh" || place === "scene.fixed.*.mesh") return this.mesh(path);
     if (SLIDERS[place]) return this.slider(name, schema, path);
     return this.single(name, schema, path, kind);
   }
@@ -214,7 +214,8 @@ export class Fields {
     });
     const add = element("button", { type: "button", class: "plain small", id: `${id}-add` }, `Add ${one}`);
     add.addEventListener("click", () => {
-      this.set(path, [...given, path.at(-1) === "objects" ? { ...given.at(-1) } : {}], true);
+      const like = { objects: given, fixed: at(this.spec, ["scene", "objects"]) ?? [] }[path.at(-1)];
+      this.set(path, [...given, { ...like?.at(-1) }], true);
       document.getElementById(`f-${[...path, given.length].join(".")}`).querySelector("summary, input, select").focus();
     });
     const full = given.length >= (schema.maxItems ?? Infinity);
