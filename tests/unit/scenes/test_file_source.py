@@ -19,6 +19,8 @@ from scipy.spatial.transform import Rotation
 
 from scene_attack.errors import InvalidRequest
 from scene_attack.rendering.pose import lengths
+from scene_attack.runs.campaign_spec import parse as parse_campaign
+from scene_attack.runs.check import uploads_in
 from scene_attack.runs.spec import JobSpec, names_in, parse, scene_name
 from scene_attack.scenes.description import Scene
 from scene_attack.scenes.library import Library
@@ -400,3 +402,19 @@ def test_what_is_fixed_has_all_parts_that_no_object_has(library: Library) -> Non
     meshes = [library.mesh(thing.mesh) for thing in (*spec.scene.objects, *spec.scene.fixed)]
     assert sum(mesh.triangles for mesh in meshes) == whole.triangles
     assert len({mesh.sha256 for mesh in (*meshes, whole)}) == 4
+
+
+def test_a_campaign_has_scenes_of_files_and_holds_them(library: Library) -> None:
+    name = library.add_mesh(Room().glb, "glb").name
+    scenes = [{"source": {"format": "file", "file": name, "change": [node]}} for node in ("Ball", "Lamp")]
+    attacks = [{"name": "a", "attack": {"renderer": "pyrender"}}]
+    campaign = parse_campaign({"grids": [{"scenes": scenes, "attacks": attacks}]}, names_in(library))
+    members = [member.scene.objects[0].mesh for member in campaign.grids[0].members()]
+    assert members == [f"{name}#1", f"{name}#3"]
+    assert uploads_in(campaign) == {name: "grids.0.scenes.0.objects.0.mesh"}
+    assert parse_campaign(campaign.model_dump(mode="json")) == campaign
+
+
+def test_a_scene_object_of_python_says_where_its_file_is_read() -> None:
+    with pytest.raises(ValueError, match="it is read where a request is sent; give the scene as data there"):
+        Scene(source={"format": "file", "file": "./room.glb"})  # type: ignore[call-arg, arg-type]

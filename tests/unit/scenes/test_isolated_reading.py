@@ -1,5 +1,6 @@
 """Uploads are read in processes of their own: what they answer, how they end, and what the parent believes of them."""
 
+import json
 import os
 import socket
 import threading
@@ -17,6 +18,7 @@ from scene_attack.scenes.reading.formats import read_mesh
 from scene_attack.scenes.reading.isolated import IsolatedReader, Report, pack, reader, unpack
 from tests.processes import command_line
 from tests.unit.scenes.mesh_files import BOXES, MAX_FACES, same
+from tests.unit.scenes.scene_files import Room
 from tests.unit.scenes.test_image_file import POSTSCRIPT, stored
 
 pytestmark = pytest.mark.slow
@@ -199,6 +201,40 @@ LIES = {
     "a texture that is not there": lambda arrays: arrays.pop(FIRST_MAP),
     "another texture's wrap": document(b"10497", b"10498"),
 }
+
+
+def of_scene(**changes):
+    """The packed mesh of a room with its scene, after changes of the scene's own JSON."""
+    scenes = []
+    parts = read_mesh(Room().glb, "glb", MAX_FACES, tell=scenes.append)
+    arrays = load(pack(parts, Report(scene=scenes[0])))
+    document = json.loads(arrays["document"].tobytes())
+    document["scene"] |= changes
+    return save(arrays | {"document": np.frombuffer(json.dumps(document).encode(), np.uint8)})
+
+
+def test_a_scene_comes_with_its_mesh():
+    parts, about = unpack(of_scene(), MAX_FACES)
+    assert [about.scene.nodes[k].name for k in about.scene.parts] == ["Floor", "Ball", "Lamp"]
+    assert len(parts) == 3
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"parts": [0]},
+        {"parts": [0, 1, 99]},
+        {"nodes": [{"name": "a", "parent": 0, "triangles": 2, "extent": None}]},
+        {"nodes": [{"name": "a" * 101, "parent": None, "triangles": 2, "extent": None}]},
+        {"extent": {"centre": [0, 0, 0], "size": [1, 1, 1], "radius": 0}},
+        {"cameras": [{"position": [0, 0, 0]}]},
+        {"pickle": 1},
+    ],
+    ids=lambda changes: str(changes)[:40],
+)
+def test_a_scene_that_is_none_is_not_believed(changes):
+    with pytest.raises(ValueError):  # noqa: PT011 - of many messages
+        unpack(of_scene(**changes), MAX_FACES)
 
 
 def test_what_is_packed_is_unpacked():

@@ -11,6 +11,7 @@ from scene_attack.scenes import bundle, uploads
 from scene_attack.scenes.library import Library
 from scene_attack_service.settings import Settings
 from tests.unit.scenes.mesh_files import ASCII_STL, BOXES
+from tests.unit.scenes.scene_files import Room
 
 pytestmark = pytest.mark.slow
 
@@ -112,3 +113,29 @@ def test_an_upload_that_was_lost_is_a_missing_asset(tmp_path, damage):
     file.unlink() if damage == "gone" else file.write_bytes(BOXES["obj"])
     with pytest.raises(JobFailure, match=f"asset-missing.*{damage}"):
         library.mesh(name)
+
+
+def test_a_scene_that_was_stored_before_scenes_were_read_is_read_when_it_is_added_again(tmp_path):
+    library = Library(tmp_path / "cache", tmp_path / "data")
+    name = library.add_mesh(Room().glb, "glb").name
+    mesh, scene = library.mesh(name), library.scene(name)
+    place = tmp_path / "data" / "assets" / f"{name.removeprefix('sha256:')}.json"
+    record = json.loads(place.read_text())
+    del record["scene_sha256"]
+    place.write_text(json.dumps(record))
+    with pytest.raises(InvalidRequest, match="file: it was added by a version that read no scenes; add it again"):
+        library.scene(name)
+    assert library.add_mesh(Room().glb, "glb").name == name
+    assert library.scene(name) == scene
+    assert np.array_equal(library.mesh(name).parts[0].vertices, mesh.parts[0].vertices)
+
+
+def test_a_scene_that_was_changed_where_it_is_kept_is_noticed(tmp_path):
+    library = Library(tmp_path / "cache", tmp_path / "data")
+    name = library.add_mesh(Room().glb, "glb").name
+    place = tmp_path / "data" / "assets" / f"{name.removeprefix('sha256:')}.scene"
+    place.write_bytes(place.read_bytes().replace(b"Ball", b"Bill"))
+    with pytest.raises(JobFailure, match="has changed where it is kept"):
+        library.scene(name)
+    library.remove_upload(name)
+    assert not list((tmp_path / "data" / "assets").iterdir())

@@ -4,7 +4,7 @@ from math import cos, pi, sin, tan
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -39,6 +39,7 @@ def test_the_camera_stands_where_it_should_and_looks_at_the_origin(azimuth, elev
     assert abs(pose[1, 0]) < 1e-12, "the horizon is level"
 
 
+@settings(deadline=None)
 @given(st.floats(-6, 6), st.floats(-pi / 2, pi / 2), st.floats(-6, 6))
 def test_roll_turns_the_camera_about_its_line_of_sight_to_its_left(azimuth, elevation, roll):
     level, rolled = (camera_to_world(Camera(azimuth=azimuth, elevation=elevation, roll=r)) for r in (0.0, roll))
