@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from benchmarks.study import curves, equal_p, examples, one_look, physical, tables
+from benchmarks.study import curves, equal_p, examples, one_look, physical, survival, tables
 from benchmarks.study.record import Record, load
 
 
@@ -212,8 +212,20 @@ PHYSICAL = Page(
 )
 
 
+SURVIVAL = Page(
+    name="survival.md",
+    curves={"survival": None},
+    with_examples=(),
+    parts={
+        "views": of("survival", lambda record: tables.views([record])),
+        "cameras": of("survival", survival.before_cameras),
+        "foot": foot,
+    },
+)
+
+
 FOLDER = Path(__file__).parents[2] / "docs" / "study"
-PAGES = (CLASSIFICATION, VQA, PHYSICAL)
+PAGES = (CLASSIFICATION, VQA, PHYSICAL, SURVIVAL)
 NAMES = tuple(name for page in PAGES for name in page.curves)
 """The records by the names of their files."""
 WITH_EXAMPLES = tuple(name for page in PAGES for name in page.with_examples)

@@ -96,6 +96,10 @@ class Job(_Record):
     """Pixels of the image, where `covered` is known."""
     around: Around | None = None
     """What came of an attack over a range of views."""
+    survival: Around | None = None
+    """What came of a verified adversary before cameras."""
+    second_opinion: dict[str, str] = {}
+    """What a verified adversary came to when other renderers drew it, by renderer."""
     request: str
     scene: str = ""
     questions: tuple[Asked, ...] = ()

@@ -20,6 +20,7 @@ from safetensors.torch import load_file
 
 from benchmarks.study.record import Around, Asked, Job, Record, Views
 from scene_attack.analysis.campaign_table import CURVES, MeanCurves
+from scene_attack.analysis.records import HeldOver
 from scene_attack.runs.campaign_plan import CampaignResult, FirstAnswer, PlannedJob, View, case_of, plan, views
 from scene_attack.runs.campaign_spec import CampaignSpec
 from scene_attack.runs.described import can_carry, described
@@ -129,7 +130,9 @@ def _job(job: PlannedJob, request: str, result: Result | None, answer: FirstAnsw
         truncated=result.cost.truncated,
         lowered=_lowered(result),
         **_covered(result),
-        around=_around(result),
+        around=_held_over(result.expectation),
+        survival=_held_over(result.analyses.survival),
+        second_opinion=dict(case.second_opinion),
         scene=result.provenance.scene_sha256[:DIGITS],
     )
 
@@ -152,8 +155,7 @@ def _covered(result: Result) -> dict[str, Any]:
     return {} if pixels is None else {"covered": pixels.kept, "pixels": pixels.of}
 
 
-def _around(result: Result) -> Around | None:
-    held = result.expectation
+def _held_over(held: HeldOver | None) -> Around | None:
     return None if held is None else Around(views=held.variations, right=held.right, fooled=held.fooled)
 
 
