@@ -364,7 +364,17 @@ def test_poses_and_targets_that_are_not_drawn_are_said(library: Library) -> None
     data = changed(Ball={"skin": 0}, tree=skins)
     left_out = job(library, data, change=["Ball"]).scene.source.left_out()  # type: ignore[union-attr]
     pose = "the pose of 'Ball': it is drawn as it was before its skeleton bends it"
-    assert left_out == (pose, "its animations", "the extension KHR_materials_sheen")
+    assert left_out == (pose, "animations", "extension KHR_materials_sheen")
+
+
+@pytest.mark.parametrize("uri", ["http://a.b/wood.png", "/etc/wood.png", "../../wood.png"])
+def test_a_texture_that_is_elsewhere_is_not_looked_for_and_is_said(library: Library, uri: str) -> None:
+    room = Room()
+    tree = room.writer.tree
+    tree |= {"images": [{"uri": uri}], "textures": [{"source": 0}]}
+    tree["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"] = {"index": 0}
+    [phrase] = job(library, room.glb, change=["Ball"]).scene.source.left_out()  # type: ignore[union-attr]
+    assert phrase == f"texture {uri} missing"
 
 
 def test_hostile_names_are_lines_without_control_characters(library: Library) -> None:

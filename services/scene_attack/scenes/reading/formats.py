@@ -24,7 +24,7 @@ from scene_attack.scenes.image_file import open_texture
 from scene_attack.scenes.mesh import Part, TooLarge, check_size
 from scene_attack.scenes.reading.companion_files import CompanionFiles, check_xml, decoded, texture_name
 from scene_attack.scenes.reading.gltf import READ_EXTENSIONS, GltfFile, check_glb, check_gltf, read_gltf
-from scene_attack.scenes.reading.gltf_scene import read_scene
+from scene_attack.scenes.reading.gltf_scene import LIGHTS, read_scene
 from scene_attack.scenes.reading.isolated import Report, listed
 from scene_attack.scenes.reading.surfaces import MAX_TEXTURE, read_opacity, read_surfaces, to_parts
 from scene_attack.scenes.scene_file import SceneFile
@@ -303,13 +303,23 @@ def triangles(scene: trimesh.Scene) -> int:
 
 _3MF = {b"<basematerials": "materials", b":colorgroup": "colours", b":texture2d": "textures"}
 """Elements of a model in a 3mf file that the parser passes over, with their names in a report."""
+_SHOWN_BY_A_SCENE = ("cameras", "skins", "morph targets", f"extension {LIGHTS}")
+"""What a mesh does not show of a glTF file, and a scene does, or says by the names of nodes."""
 _NOT_DRAWN = {"animations": "animations", "skins": "skins", "cameras": "cameras"}
 
 
-def report(data: bytes, kind: str, beside: CompanionFiles, parts: Sequence[Part], notes: Sequence[str]) -> Report:
+def report(
+    data: bytes,
+    kind: str,
+    beside: CompanionFiles,
+    parts: Sequence[Part],
+    notes: Sequence[str],
+    scene: SceneFile | None = None,
+) -> Report:
     """Returns what became of what a mesh file holds and names.
 
-    `parts` are those that were read from it, and `notes` what was said of it then to be not shown.
+    `parts` are those that were read from it, `notes` what was said of it then to be not shown, and `scene` its scene,
+    which shows more of it.
     """
     used, dropped = _files(beside, any(part.textured for part in parts))
     dropped = [*notes, *dropped]
@@ -335,7 +345,10 @@ def report(data: bytes, kind: str, beside: CompanionFiles, parts: Sequence[Part]
             content for name, content in unpack_archive(data, MAX_3MF).items() if name.lower().endswith(".model")
         )
         dropped += [word for mark, word in _3MF.items() if mark in models]
-    return Report(listed(used), listed(dropped))
+    if scene is not None and scene.own is None:  # a description says all of its scene
+        others = [phrase for phrase in dropped if phrase not in _SHOWN_BY_A_SCENE]
+        scene = scene.model_copy(update={"left_out": listed([*scene.left_out, *others])})
+    return Report(listed(used), listed(dropped), scene)
 
 
 def _files(beside: CompanionFiles, textured: bool) -> tuple[list[str], list[str]]:

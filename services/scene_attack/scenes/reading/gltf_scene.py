@@ -9,7 +9,8 @@ import numpy as np
 
 from scene_attack.errors import Unreadable, shortened
 from scene_attack.scenes.mesh import FIT_RADIUS, Doubles, ball
-from scene_attack.scenes.reading.gltf import READ_EXTENSIONS, GltfFile, PlacedNode, Placement, elements, number, numbers
+from scene_attack.scenes.reading.gltf import GltfFile, PlacedNode, Placement, elements, number, numbers
+from scene_attack.scenes.reading.isolated import listed
 from scene_attack.scenes.scene_file import (
     DESCRIPTION,
     GENERATOR,
@@ -74,9 +75,6 @@ def _scene(file: GltfFile, placement: Placement) -> SceneFile:
     for what, most in ((cameras, MAX_CAMERAS), (lights, MAX_LIGHTS)):
         if len(what) > most:
             raise Unreadable(f"it has {len(what):,} cameras or lights; at most {most:,} of each are taken")
-    left_out += ["its animations"] if file.array("animations") else []
-    unread = [name for name in file.array("extensionsUsed") if name not in (*READ_EXTENSIONS, LIGHTS)]
-    left_out += [f"the extension {readable(name)}" for name in unread]
     own = _own(file)
     return SceneFile(
         nodes=tuple(
@@ -92,7 +90,7 @@ def _scene(file: GltfFile, placement: Placement) -> SceneFile:
         extent=whole,
         cameras=tuple(cameras),
         lights=tuple(lights),
-        left_out=() if own else tuple(text[:300] for text in left_out[:40]),  # the description says all
+        left_out=listed(left_out),
         own=own,
     )
 

@@ -139,8 +139,7 @@ def read(request: dict[str, Any], data: bytes) -> tuple[dict[str, Any], bytes]:
         notes: list[str] = []
         scenes: list[SceneFile] = []
         parts = read_mesh(data, kind, request["max_faces"], files, request["up"], notes.append, scenes.append)
-        about = report(data, kind, files, parts, notes)
-        return {}, pack(parts, about._replace(scene=scenes[0] if scenes else None))
+        return {}, pack(parts, report(data, kind, files, parts, notes, scenes[0] if scenes else None))
     if "map" in request:
         texels = read_map(data, request["map"])
         return {"size": texels.shape[:2]}, texels.tobytes()
