@@ -46,6 +46,7 @@ DEPENDS: dict[str, tuple[str, ...]] = {
     "benchmarks/results/jobs.json": (*BOTH, LITE0),
     "benchmarks/results/known_errors.json": ("torch", LITE0),
     "benchmarks/results/peer_attacks.json": ("pyrender", LITE0),
+    "benchmarks/results/scene_files.json": ("pyrender", LITE0),
     "benchmarks/results/sensor.json": ("pyrender",),
     "benchmarks/results/service_record.json": (),
     "benchmarks/results/shading.json": ("torch",),

@@ -137,7 +137,7 @@ def extents(
         mine[owner].append(part)
     for node in reversed(range(len(parents))):  # a node after all that are below it
         parent = parents[node]
-        if parent is not None:
+        if parent is not None and mine[node]:
             mine[parent] = sorted((*mine[parent], *mine[node]))
     known: dict[tuple[int, ...], Extent | None] = {(): None}
     for numbers in map(tuple, mine):
@@ -196,7 +196,7 @@ def _as_drawn(scene: SceneFile, file: str, name: str) -> dict[str, Any]:
     return {}
 
 
-_NODES = re.compile(r"(?P<upload>sha256:[0-9a-f]{64})#(?:(?P<node>\d{1,5})|!(?P<others>\d{1,5}(?:,\d{1,5})*))")
+_NODES = re.compile(r"(?P<upload>sha256:[0-9a-f]{64})#(?:(?P<node>[0-9]{1,5})|!(?P<others>[0-9]{1,5}(?:,[0-9]{1,5})*))")
 
 
 def mesh_of_node(file: str, node: int) -> str:
