@@ -54,7 +54,8 @@ class BlenderRenderer(PathTracer):
 
     @cached_property
     def _staged(self) -> StagedScene:
-        return self.scene.once(("staged for Blender", self.bounces), lambda: staged(self.scene, self.bounces))
+        what = "staged for Blender", self.bounces, torch.get_num_threads()
+        return self.scene.once(what, lambda: staged(self.scene, self.bounces))
 
 
 def staged(scene: ResolvedScene, bounces: int) -> StagedScene:

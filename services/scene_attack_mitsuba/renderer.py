@@ -96,10 +96,12 @@ class MitsubaRenderer(PathTracer):
                 items.append(Item(part=placed.name, what="coats of transparent parts", kept=0, of=thin, why=why))
             for what, count in (
                 ("emission", sum(any(surface.emissive) for surface in surfaces)),
+                ("culled backs", sum(not surface.double_sided for surface in surfaces)),
                 ("vertex colours", sum(bool((surface.vertex_colors != 1).any()) for surface in surfaces)),
             ):
                 if count:
-                    items.append(Item(part=placed.name, what=what, kept=0, of=count, why="left out"))
+                    why = "drawn" if what == "culled backs" else "left out"
+                    items.append(Item(part=placed.name, what=what, kept=0, of=count, why=why))
         return items
 
     @cached_property
@@ -268,8 +270,7 @@ def _surface(part: Part, color: Array) -> dict[str, Any]:
             "specular_reflectance": _texture(np.full((1, 1, 3), 2.0), wrap),
         },
     }
-    if surface is None or surface.double_sided:
-        closure = {"type": "twosided", "both": closure}
+    closure = {"type": "twosided", "both": closure}
     if (opacity < 1).any():
         return {"type": "mask", "opacity": _texture(opacity, wrap), "what": closure}
     return closure

@@ -38,15 +38,15 @@ MOVED: list[dict[str, Any]] = [
 @pytest.mark.parametrize("moved", MOVED, ids=str)
 @pytest.mark.parametrize("size", [(64, 64), (48, 80)], ids=str)
 def test_silhouettes_are_pyrender_s(name: str, moved: dict[str, Any], size: tuple[int, int]) -> None:
-    """pyrender's coverage has 4 samples: that of a pixel at an edge is off by 1/8 in the mean, and by less over rows of
-    them. A silhouette that is half a pixel off is off by 1/2."""
+    """The coverage of a pixel at an edge has 512 samples here and 256 there, whose mean deviation is 0.03 at most. A
+    silhouette that is a tenth of a pixel off is off by 0.1."""
     scene = shapes.placed(shapes.scene(size, lights=SUN), lopsided())
     own, theirs = images(tracer(name, scene), **moved)[:, ..., 3].mean(axis=0), by_pyrender(scene, **moved)[..., 3]
     edges = ((own > 0) & (own < 1)) | ((theirs > 0) & (theirs < 1))
     assert 30 < edges.sum() < theirs.size / 3
     assert not np.abs(own - theirs)[~edges].any()
-    assert np.abs(own - theirs)[edges].mean() < 0.15
-    assert abs((own - theirs)[edges].mean()) < 0.04
+    assert np.abs(own - theirs)[edges].mean() < 0.02
+    assert abs((own - theirs)[edges].mean()) < 0.008
 
 
 def glossy(part: Part, metallic: float, roughness: float, **settings: Any) -> Part:
@@ -77,6 +77,19 @@ def test_a_surface_is_pyrender_s(name: str, kind: str, lights: Lights) -> None:
     drawn, theirs = images(tracer(name, scene), **changes), by_pyrender(scene, **changes)
     where = inside(drawn[0, ..., 3], theirs[..., 3]) & (theirs[..., 0] > 0.05 * theirs[..., 0].max())
     assert_agree(drawn[..., :3], theirs[..., :3], max(allowed, MODEL[name]) * theirs[..., :3].max(), where)
+
+
+def test_the_coat_is_pyrender_s_in_grazing_light(name: str) -> None:
+    """A sun behind the sphere, whose light the coat mirrors at some 60°. Fresnel's term rises there: a dielectric's,
+    which Mitsuba has, by a seventh more."""
+    behind = Lights(ambient=0.0, points=(), directional=(DirectionalLight(energy=3.0, direction=(0.6, -0.6, 0.5)),))
+    scene = shapes.placed(shapes.scene((64, 64), lights=behind), shapes.mesh(shapes.sphere(color=(0.0, 0.0, 0.0, 1.0))))
+    drawn, theirs = images(tracer(name, scene, samples=256)), by_pyrender(scene)
+    whole = inside(drawn[0, ..., 3], theirs[..., 3])
+    where = whole & (theirs[..., 0] > 0.01 * theirs[whole][:, 0].max())
+    mean, reference = drawn[..., 0].mean(axis=0)[where].mean(), theirs[..., 0][where].mean()
+    assert where.sum() > 50
+    assert mean == pytest.approx(reference, rel=0.01 if name == "blender" else 0.2)
 
 
 TEXELS = np.kron(np.random.default_rng(0).integers(0, 256, (4, 4, 4), np.uint8), np.ones((8, 8, 1), np.uint8))
@@ -129,9 +142,9 @@ def test_what_is_cut_out_or_transparent_covers_as_pyrender_s(name: str, surface:
 
 
 def even(image: np.ndarray) -> np.ndarray:
-    """Pixels [H, W] around which an image [H, W, C] is nearly the same, and something is covered."""
+    """Pixels [H, W] around which an image [H, W, C] is nearly the same."""
     around = [np.roll(image, shift, axis) for shift in (-2, -1, 1, 2) for axis in (0, 1)]
-    return (np.ptp(around, axis=0).max(axis=-1) < 0.01) & (image[..., 3] > 0.1)
+    return np.asarray(np.ptp(around, axis=0).max(axis=-1) < 0.01)
 
 
 @pytest.mark.parametrize(
@@ -140,7 +153,7 @@ def even(image: np.ndarray) -> np.ndarray:
         ("MASK", {"alpha_mode": "MASK", "alpha_cutoff": 0.5}),
         ("BLEND", {"alpha_mode": "BLEND"}),
         ("OPAQUE", {"alpha_mode": "OPAQUE"}),
-        ("one side", {"double_sided": False}),
+        ("culled backs", {"double_sided": False}),
         ("emission", {"emissive": (0.2, 0.4, 0.8)}),
     ],
 )
@@ -148,8 +161,10 @@ def test_a_gltf_material_s_settings(name: str, mode: str, settings: dict[str, An
     texels = np.full((32, 32, 4), 255, np.uint8)
     texels[:, :16, 3] = 100
     square = glossy(shapes.quad(0.6), 0.0, 0.8, maps={"base_color": TextureMap(texels, 0, (10497, 10497))}, **settings)
-    away = replace(square, vertices=square.vertices + np.array([0, 0, -0.3], np.float32), faces=square.faces[:, ::-1])
-    parts = [square, away] if mode == "one side" else [square]
+    away = replace(
+        square, vertices=square.vertices * 0.5 + np.array([0, 0, 0.3], np.float32), faces=square.faces[:, ::-1]
+    )
+    parts = [square, away] if mode == "culled backs" else [square]
     scene = shapes.placed(shapes.scene((48, 48), lights=SUN), shapes.mesh(*parts))
     own, theirs = tracer(name, scene), by_pyrender(scene)
     drawn = images(own)
@@ -170,7 +185,7 @@ ASIDE = [
 
 
 @pytest.mark.parametrize("lights", ASIDE, ids=["lamp", "sun"])
-@pytest.mark.parametrize("shadows", [None, Shadows(softness=0.05, angle=0.03, resolution=2048, samples=64)])
+@pytest.mark.parametrize("shadows", [None, Shadows(softness=0.2, angle=0.08, resolution=2048, samples=64)])
 def test_shadows_follow_the_scene(name: str, shadows: Shadows | None, lights: Lights) -> None:
     """On the floor, whose colour no group changes. Shadow maps are off at the edges of shadows, by some pixels."""
     scene = shapes.placed(floor_scene(shadows, lights), shapes.mesh(shapes.sphere(0.25)))
@@ -181,4 +196,4 @@ def test_shadows_follow_the_scene(name: str, shadows: Shadows | None, lights: Li
     whole = inside(drawn[0, ..., 3], theirs[..., 3])
     error = np.abs(drawn[..., :3].mean(axis=0) - theirs[..., :3]).max(axis=-1)[whole] / theirs[..., :3].max()
     assert np.quantile(error, 0.9) < 0.005
-    assert error.mean() < 0.002, "0.012 or more where shadows are missing, or cast although none are asked for"
+    assert error.mean() < 0.003, "0.012 or more where shadows are missing, or cast although none are asked for"

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from scene_attack.scenes.description import DirectionalLight, Lights, PointLight, SpotLight
+from scene_attack.scenes.description import DirectionalLight, Lights, PointLight, Shadows, SpotLight
 from tests.unit.path_tracing.agreement import MODEL, assert_agree, averaged, images, inside, tracer
 from tests.unit.rendering import shapes
 from tests.unit.rendering.pyrender import closed_form
@@ -91,6 +91,18 @@ def closed_form_cosine(points: np.ndarray, normals: np.ndarray, eye: np.ndarray)
     to_eye = eye - points
     result: np.ndarray = (normals * to_eye).sum(-1) / np.linalg.norm(to_eye, axis=-1)
     return result
+
+
+def test_a_lamp_is_not_seen(name: str) -> None:
+    """One with a size, in front of the ground: a pixel that no object covers is empty."""
+    lights = Lights(ambient=0.0, points=(PointLight(energy=9.0, position=(0.5, 0.5, 0.0)),))
+    description = shapes.scene((48, 48), lights=lights).model_copy(update={"shadows": Shadows(softness=0.2)})
+    scene = shapes.placed(description, shapes.mesh(shapes.sphere(0.2)))
+    drawn = images(tracer(name, scene))
+    rim = averaged(description.camera, 0.22, lambda p, _, __: p[..., 0])[1]
+    assert drawn[:, rim].any()
+    corner = drawn[:, :16, 32:]  # the lamp, of 0.2 about (0.5, 0.5), is in the middle of it
+    assert not corner.any()
 
 
 @pytest.mark.parametrize("kind", LIGHTS)
