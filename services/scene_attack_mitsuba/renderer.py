@@ -40,15 +40,22 @@ WRAPS = {10497: "repeat", 33071: "clamp", 33648: "mirror"}
 
 
 @lru_cache(maxsize=1)
-def mitsuba() -> Any:
-    """Mitsuba with its variant, and the threads of this process."""
+def modules() -> tuple[Any, Any]:
+    """Mitsuba with its variant, and its arithmetic, which has the threads."""
     with extra("mitsuba", "the renderer mitsuba", "attack.renderer"):
         import drjit
         import mitsuba
     mitsuba.set_variant("scalar_rgb")
     mitsuba.set_log_level(mitsuba.LogLevel.Error)
-    drjit.set_thread_count(torch.get_num_threads())
-    return mitsuba
+    return mitsuba, drjit
+
+
+def mitsuba() -> Any:
+    """Mitsuba, with as many threads as torch has."""
+    program, arithmetic = modules()
+    if arithmetic.thread_count() != torch.get_num_threads():
+        arithmetic.set_thread_count(torch.get_num_threads())
+    return program
 
 
 class MitsubaRenderer(PathTracer):

@@ -6,6 +6,7 @@ import torch
 from scene_attack.analysis.transfer import Wanted, indices, shown_to
 from scene_attack.attacks.goal import ResolvedGoal
 from scene_attack.attacks.run import Verifier
+from scene_attack.rendering.declaration import RENDERERS
 from scene_attack.runs.described import can_carry, described
 from tests.unit.analysis.test_attribution import Built, Pixels
 from tests.unit.jobs.small import spec
@@ -79,3 +80,11 @@ def test_the_cameras_place_and_roll_are_carried() -> None:
 )
 def test_some_groups_are_no_fields_of_a_scene(renderer: str, groups: tuple[str, ...]) -> None:
     assert not can_carry(renderer, groups)
+
+
+@pytest.mark.parametrize("renderer", ["pyrender", "blender", "mitsuba", "stock-pyrender"])
+def test_every_renderer_with_the_groups_of_pyrender_describes_a_scene(renderer: str) -> None:
+    """Those of plug-ins are asked by their groups, and not by their names."""
+    if renderer not in RENDERERS:
+        pytest.skip("the plug-in is not installed")
+    assert can_carry(renderer, ("illumination", "translation"))
