@@ -101,3 +101,14 @@ def test_its_groups_are_pyrender_s(name: str) -> None:
     own, pyrender = RENDERERS[name], RENDERERS["pyrender"]
     assert own.groups == pyrender.groups
     assert (own.varies, own.varied, own.worded) == (pyrender.varies, pyrender.varied, pyrender.worded)
+
+
+def test_only_the_exact_twin_keeps_the_scene_s_own_image(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The cost of an image is measured with the attack's renderer at the start."""
+    own = tracer(name, shapes.placed(shapes.scene(SIZE), shapes.six_parts()), samples=4, verify_samples=8)
+    drawn: list[int] = []
+    trace = type(own).trace
+    monkeypatch.setattr(type(own), "trace", lambda self, frame: drawn.append(self.samples) or trace(self, frame))
+    for renderer in (own, own.exact(), own, own.exact()):
+        renderer.render({})
+    assert drawn == [4, 8, 4]

@@ -72,11 +72,13 @@ class PathTracer(DeclaredRenderer):
         """Times that light goes on from a surface to another one."""
         if request.tolerance == "exact":
             self.samples, self.seed = settings.verify_samples, settings.seed + 1
+        self._keeps_own_image = False  # of the attack's renderer, whose time is measured with it
         self._twin: PathTracer = self
         if request.tolerance != "exact":
             self._twin = copy(self)
             self._twin.samples, self._twin.seed = settings.verify_samples, settings.seed + 1
             self._twin._twin, self._twin._tolerance = self._twin, "exact"
+            self._twin._keeps_own_image = True
 
     @classmethod
     def build(cls, request: BuildRequest) -> Self:
@@ -135,7 +137,7 @@ class PathTracer(DeclaredRenderer):
         return other
 
     def render(self, parameters: Mapping[str, Tensor]) -> Tensor:
-        """Images float32 [B, H, W, 3] in [0,1]; `parameters` {group: [B, ...]}. The scene's own image is kept.
+        """Images float32 [B, H, W, 3] in [0,1]; `parameters` {group: [B, ...]}. The exact twin keeps the scene's own.
 
         Raises JobFailure("non-finite") for parameters or radiances that are not finite and as `trace` does, ValueError
         for unknown groups and wrong shapes.
@@ -145,7 +147,8 @@ class PathTracer(DeclaredRenderer):
         for row in range(len(batch["color"])):
             draw = partial(self._image, {group: value[row] for group, value in batch.items()})
             own = all(np.array_equal(value[row], initial[group].numpy()) for group, value in batch.items())
-            images.append(self.scene.once(("own image", self.backend), draw) if own else draw())
+            keeps = own and self._keeps_own_image
+            images.append(self.scene.once(("own image", self.backend), draw) if keeps else draw())
         return torch.stack(images)
 
     def _image(self, values: Mapping[str, Array]) -> Tensor:
