@@ -201,6 +201,55 @@ SECTIONS = (
             ),
         ),
     ),
+    Section(
+        "Path tracers",
+        "path_tracing",
+        (
+            "The grand piano with shadows at 112² on {threads} threads, against an image of {reference_samples:,} "
+            "samples: errors are over covered pixels.",
+            Rows(
+                lambda result: [
+                    {"renderer": tracer["renderer"], **row} for tracer in result["tracers"] for row in tracer["error"]
+                ],
+                {
+                    "renderer": number("renderer", ""),
+                    "samples>": number("samples", "d"),
+                    "frame ms>": milliseconds(),
+                    "mean error>": number("mean", ".4f"),
+                    "RMS error>": number("rms", ".4f"),
+                },
+            ),
+            "A frame of 16 samples by threads, of which other work on the machine takes some:",
+            Rows(
+                lambda result: [
+                    {"renderer": tracer["renderer"], **tracer["seconds_of_16_samples_by_threads"]}
+                    for tracer in result["tracers"]
+                ],
+                {
+                    "renderer": number("renderer", ""),
+                    "1 thread, ms>": milliseconds("1"),
+                    "2 threads, ms>": milliseconds("2"),
+                },
+            ),
+            "A step of ZOO over all 14 coordinates through Blender beside the network's batch of 28, and the cosine of "
+            "two estimates of the gradient under other seeds: where all images of an estimate share one, and where "
+            "each has its own.",
+            Rows(
+                lambda result: result["zoo"],
+                {
+                    "samples>": number("samples", "d"),
+                    "step ms>": lambda row: milliseconds("zoo_step")(row["seconds"]),
+                    "network ms>": lambda row: milliseconds("network_28")(row["seconds"]),
+                    "cosine, one seed>": lambda row: number("one seed for both sides", ".3f")(
+                        row["cosine_of_gradients"]
+                    ),
+                    "cosine, a seed each>": lambda row: number("a seed for each image", ".3f")(
+                        row["cosine_of_gradients"]
+                    ),
+                },
+            ),
+        ),
+    ),
 )
 
 

@@ -45,6 +45,7 @@ DEPENDS: dict[str, tuple[str, ...]] = {
     "benchmarks/results/gltf_materials.json": ("pyrender",),
     "benchmarks/results/jobs.json": (*BOTH, LITE0),
     "benchmarks/results/known_errors.json": ("torch", LITE0),
+    "benchmarks/results/path_tracing.json": ("pyrender", LITE0),
     "benchmarks/results/peer_attacks.json": ("pyrender", LITE0),
     "benchmarks/results/scene_files.json": ("pyrender", LITE0),
     "benchmarks/results/sensor.json": ("pyrender",),
