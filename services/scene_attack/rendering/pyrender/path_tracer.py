@@ -70,15 +70,12 @@ class PathTracer(DeclaredRenderer):
         self._ground = Ground(self.scene, self._numbers)
         self.bounces = 0 if shows_no_bounce(self.scene) else settings.bounces
         """Times that light goes on from a surface to another one."""
-        if request.tolerance == "exact":
-            self.samples, self.seed = settings.verify_samples, settings.seed + 1
-        self._keeps_own_image = False  # of the attack's renderer, whose time is measured with it
-        self._twin: PathTracer = self
-        if request.tolerance != "exact":
-            self._twin = copy(self)
-            self._twin.samples, self._twin.seed = settings.verify_samples, settings.seed + 1
-            self._twin._twin, self._twin._tolerance = self._twin, "exact"
-            self._twin._keeps_own_image = True
+        self._keeps_own_image = False  # the time of an attack's image is measured by drawing it
+        exact: PathTracer = self if request.tolerance == "exact" else copy(self)
+        exact.samples, exact.seed, exact._tolerance = settings.verify_samples, settings.seed + 1, "exact"
+        exact._keeps_own_image = exact is not self
+        exact._twin = exact
+        self._twin: PathTracer = exact
 
     @classmethod
     def build(cls, request: BuildRequest) -> Self:
