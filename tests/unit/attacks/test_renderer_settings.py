@@ -15,6 +15,7 @@ from scene_attack.options import DEFAULTS
 from scene_attack.rendering.declaration import RENDERERS, BuildRequest, Declaration, DeclaredRenderer, Group, register
 from scene_attack.rendering.factory import build
 from scene_attack.rendering.plan import Plan
+from scene_attack.runs import field_errors
 from scene_attack.runs.prepare import prepare
 from scene_attack.runs.spec import JobSpec, parse
 from scene_attack.scenes.resolve import resolve
@@ -26,7 +27,7 @@ SCENE = {"camera": {"size": [2, 2]}, "objects": [{"mesh": "primitive/sphere"}]}
 class Haze(Model):
     """Settings of the haze."""
 
-    samples: int = Field(default=16, ge=1, description="samples of a pixel")
+    grains: int = Field(default=16, ge=1, description="grains of a pixel")
     seed: int = 0
 
 
@@ -70,8 +71,11 @@ def declare(**fields: Any) -> None:
 @pytest.fixture(autouse=True)
 def registry() -> Iterator[None]:
     before = RENDERERS.snapshot()
+    RENDERERS.restore({name: declared for name, declared in before.items() if declared.settings is None})
+    field_errors._schema.cache_clear()  # noqa: SLF001 - of the renderers that there were
     yield
     RENDERERS.restore(before)
+    field_errors._schema.cache_clear()  # noqa: SLF001
 
 
 def spec(attack: Mapping[str, Any], **fields: Any) -> JobSpec:
@@ -81,9 +85,9 @@ def spec(attack: Mapping[str, Any], **fields: Any) -> JobSpec:
 def test_settings_that_are_left_out_are_filled_in_and_written() -> None:
     declare()
     stated = spec({"renderer": "haze", "renderer_settings": {"seed": 7}})
-    assert stated.model_dump(mode="json")["attack"]["renderer_settings"] == {"samples": 16, "seed": 7}
+    assert stated.model_dump(mode="json")["attack"]["renderer_settings"] == {"grains": 16, "seed": 7}
     none = spec({"renderer": "haze"})
-    assert none.model_dump(mode="json")["attack"]["renderer_settings"] == {"samples": 16, "seed": 0}
+    assert none.model_dump(mode="json")["attack"]["renderer_settings"] == {"grains": 16, "seed": 0}
     assert parse(stated.model_dump(mode="json")) == stated
     assert "renderer_settings" not in spec({"renderer": "torch"}).model_dump(mode="json")["attack"]
 
@@ -92,10 +96,10 @@ def test_settings_that_are_left_out_are_filled_in_and_written() -> None:
     ("settings", "message"),
     [
         (
-            {"samples": 0},
-            "attack.renderer_settings.samples: must be an integer of at least 1, not 0: samples",
+            {"grains": 0},
+            "attack.renderer_settings.grains: must be an integer of at least 1, not 0: grains of a pixel",
         ),
-        ({"sample": 1}, "attack.renderer_settings.sample: there is no such field; "),
+        ({"grain": 1}, "attack.renderer_settings.grain: there is no such field; "),
         (7, "attack.renderer_settings: "),
     ],
 )
@@ -115,7 +119,7 @@ def test_a_renderer_without_settings_refuses_them() -> None:
 def test_a_renderer_is_built_with_its_settings() -> None:
     declare()
     scene = resolve(spec({}).scene, local_library(DEFAULTS))
-    assert build(scene, "haze", settings=Haze(samples=3)).settings == Haze(samples=3)  # type: ignore[attr-defined]
+    assert build(scene, "haze", settings=Haze(grains=3)).settings == Haze(grains=3)  # type: ignore[attr-defined]
     assert build(scene, "haze").settings == Haze()  # type: ignore[attr-defined]
 
 
