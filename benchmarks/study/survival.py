@@ -29,9 +29,7 @@ def _row(jobs: list[Job]) -> list[str]:
     taken = [job.survival for job in won if job.survival is not None]
     shares = [one.fooled / one.right for one in taken if one.right]
     survived = Mean.of_shares(shares)
-    between = NONE
-    if survived is not None and survived.low is not None and survived.high is not None:
-        between = f"{100 * survived.low:.0f}–{100 * survived.high:.0f}"
+    between = NONE if survived is None else f"{100 * survived.low:.0f}–{100 * survived.high:.0f}"
     return [
         f"{len(won)}{OF}{len(jobs)}",
         milli(mean([job.p for job in won])),

@@ -81,22 +81,22 @@ class Rate(_Record):
 
 
 class Mean(_Record):
-    """The mean of a figure of several cases, with its 95 % interval (normal approximation), null for a single case."""
+    """The mean of shares of several cases, with a 95 % interval: Wilson's, as if each share were all or nothing. That
+    is the widest that shares of this mean can have, and not empty where all are equal.
+    """
 
     mean: float
-    low: float | None
-    high: float | None
+    low: float
+    high: float
     of: int = Field(description="cases")
 
     @classmethod
     def of_shares(cls, values: Sequence[float]) -> "Mean | None":
-        """The mean of shares in [0,1], within which the interval stays; None of none."""
+        """The mean of shares in [0,1]; None of none."""
         if not values:
             return None
-        middle, half = sum(values) / len(values), half_interval(values)
-        if half is None:
-            return cls(mean=middle, low=None, high=None, of=1)
-        return cls(mean=middle, low=max(0.0, middle - half), high=min(1.0, middle + half), of=len(values))
+        low, high = wilson(sum(values), len(values))
+        return cls(mean=sum(values) / len(values), low=low, high=high, of=len(values))
 
 
 Corners = list[tuple[float, int]]
@@ -219,11 +219,6 @@ def mean(values: Sequence[float | None]) -> float | None:
     """The mean of the values that are there; None if there is none."""
     there = [value for value in values if value is not None]
     return sum(there) / len(there) if there else None
-
-
-def half_interval(values: Sequence[float]) -> float | None:
-    """Half the width of the 95 % interval of the mean of some values (normal approximation); None for a single one."""
-    return NORMAL_95 * stdev(values) / len(values) ** 0.5 if len(values) > 1 else None
 
 
 def corners(work: Sequence[float | None]) -> Corners:
@@ -433,7 +428,7 @@ def part_means(attributions: Sequence[tuple[str, str, Mapping[str, Any]]]) -> li
             *at,
             jobs=len(own),
             value=sum(own) / len(own),
-            half=half_interval(own),
+            half=NORMAL_95 * stdev(own) / len(own) ** 0.5 if len(own) > 1 else None,
             first=first[at],
         )
         for at, own in values.items()

@@ -65,7 +65,7 @@ NORMAL_95 = 1.959964
 """Two-sided 95 % quantile of the normal distribution."""
 
 
-def wilson(successes: int, trials: int) -> tuple[float, float]:
+def wilson(successes: float, trials: int) -> tuple[float, float]:
     """The 95 % score interval of a rate (Wilson 1927). `trials` is at least 1. Rates of 0 and 1 are ends of it."""
     z2, rate = NORMAL_95**2, successes / trials
     centre = (rate + z2 / (2 * trials)) / (1 + z2 / trials)

@@ -72,13 +72,19 @@ def test_cases_that_held_within_their_epsilon_are_counted() -> None:
 
 
 def test_survival_is_the_mean_of_the_successes_that_were_asked_for_it() -> None:
-    """Of 0.5, 0.75 and 1 the standard deviation is 0.25, so the interval is 1.96 · 0.25 / √3 to either side."""
+    """The interval is that of 2.25 of 3, written out; equal shares have one, too."""
     cases = [fooled(3, survival=0.5), fooled(3, survival=0.75), fooled(3, survival=1.0), fooled(3), case(survival=0.0)]
     found = table("c", [("t", "a")] * 5, cases)
     survival = found.cells[0].survival
     assert survival is not None
-    assert (survival.mean, survival.of, survival.high) == (0.75, 3, 1.0)
-    assert survival.low == pytest.approx(0.75 - 1.959964 * 0.25 / 3**0.5)
+    assert (survival.mean, survival.of) == (0.75, 3)
+    z2 = 1.959964**2
+    half = 1.959964 * (0.75 * 0.25 / 3 + z2 / 36) ** 0.5
+    assert survival.low == pytest.approx((0.75 + z2 / 6 - half) / (1 + z2 / 3))
+    assert survival.high == pytest.approx((0.75 + z2 / 6 + half) / (1 + z2 / 3))
+    [certain] = table("c", [("t", "a")], [fooled(3, survival=1.0)]).cells
+    assert certain.survival is not None
+    assert certain.survival.low < 0.3
     [row] = csv.DictReader(io.StringIO(to_csv(found)))
     assert (row["survival_mean"], row["survival_of"]) == ("0.75", "3")
     assert table("c", [("t", "a")], [fooled(3)]).cells[0].survival is None
