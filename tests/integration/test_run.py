@@ -63,7 +63,7 @@ def small(name: str) -> dict[str, Any]:
 
 def test_there_is_an_example_for_every_renderer_and_task() -> None:
     specs = [parse(json.loads(path.read_text())) for path in EXAMPLES.values()]
-    assert {spec.attack.renderer for spec in specs} == {"image", "pyrender", "torch"}
+    assert {spec.attack.renderer for spec in specs} == {"image", "pyrender", "sensor", "torch"}
     attacked = {(spec.attack.renderer, spec.attack.groups) for spec in specs}
     assert {("torch", (group,)) for group in TORCH.default_groups} < attacked
     assert ("torch", TORCH.default_groups) in attacked

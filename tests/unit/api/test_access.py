@@ -78,7 +78,7 @@ def test_health_is_open_but_brief(guarded: Guarded) -> None:
     brief = guarded.client.get("/readyz").json()
     assert (brief["plugins"], brief["targets"]) == (None, None)
     plugins = guarded.client.get("/readyz", headers=guarded.headers["only jobs:read"]).json()["plugins"]
-    assert [plugin["name"] for plugin in plugins] == ["questions"]
+    assert "questions" in [plugin["name"] for plugin in plugins]
 
 
 def test_the_key_comes_before_the_body(guarded: Guarded) -> None:

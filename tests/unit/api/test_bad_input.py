@@ -60,7 +60,7 @@ BAD = {
     "group of another renderer": ({"attack__groups": ["normals"]}, "attack.groups"),
     "unknown preset": ({"scene__objects__0__material": "velvet"}, "scene.objects.0.material"),
     "unknown settings preset": ({"attack__preset": "fastest"}, "attack.preset"),
-    "unknown renderer": ({"attack__renderer": "mitsuba"}, "attack.renderer"),
+    "unknown renderer": ({"attack__renderer": "povray"}, "attack.renderer"),
     "unknown method": ({"attack__method": "pgd"}, "attack.method"),
     "unknown field": ({"scene__fog": 1}, "scene.fog"),
     "image too large": ({"scene__camera__size": [32, 4096]}, "scene.camera.size.1"),

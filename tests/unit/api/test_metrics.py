@@ -21,7 +21,7 @@ def test_without_a_worker_the_service_is_not_ready(client: Client) -> None:
     answer = client.get("/readyz")
     assert answer.status_code == 503
     found = answer.json()
-    assert [plugin["name"] for plugin in found.pop("plugins")] == ["questions"]
+    assert "questions" in [plugin["name"] for plugin in found.pop("plugins")]
     assert found == {
         "ready": False,
         "database": True,

@@ -122,7 +122,7 @@ def test_the_extra_for_benchmarks_is_among_their_requirements() -> None:
 @pytest.mark.questions
 def test_each_package_says_that_it_is_typed() -> None:
     packages = [path for root in ("services", "api", "worker") for path in (ROOT / root).glob("scene_attack*")]
-    assert len(packages) == 8
+    assert len(packages) == 9
     assert all((package / "py.typed").is_file() for package in packages)
 
 

@@ -46,7 +46,7 @@ REFUSED: list[tuple[str, dict[str, Any]]] = [
     ("goal.reach", {"goal": {"reach": 1000}}),
     ("goal.reach", {"goal": {"reach": 3, "leave": 3}}),
     ("attack.groups", {"attack": {"renderer": "torch", "groups": ["color"]}}),
-    ("attack.renderer", {"attack": {"renderer": "blender"}}),
+    ("attack.renderer", {"attack": {"renderer": "povray"}}),
     ("attack.steps", {"attack": {"steps": 0}}),
     ("attack.steps", {"attack": {"steps": 10**9}}),
     ("attack.queries", {"attack": {"queries": 0}}),
