@@ -134,3 +134,32 @@ async def test_a_campaign_without_cases_has_a_dash_beside_one_with_them(stage: S
     page = await get(stage, f"/compare/campaigns?campaigns={first},{second}")
     assert "normals against efficientnet-lite0 100.0 % 1 of 1" in page.text
     assert "–" in page.text.partition("1 of 1")[2].partition("What differs")[0].rpartition("10⁻³")[2]
+
+
+async def test_the_table_has_what_adversaries_survive(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Three of them before cameras, and before two renderers; campaigns without have no such columns."""
+    held = {"variations": 64, "right": 50, "fooled": 40, "share": 0.8, "interval": [0.67, 0.887]}
+    seen = {"label": "a", "confidence": 0.5}
+    opinion = {"before": seen, "after": seen, "right_before": True}
+    analyses = {
+        "survival": held | {"wrong_share": 0.22, "wrong_interval": [0.13, 0.33]},
+        "second_opinion": [
+            opinion | {"renderer": "tracer", "outcome": "fooled"},
+            opinion | {"renderer": "raster", "outcome": "held"},
+            {"renderer": "broken", "failure": "it was killed"},
+        ],
+    }
+    plain = stage.begin(spec(3))
+    stage.finish(plain)
+    own = Stage.result
+    monkeypatch.setattr(Stage, "result", staticmethod(lambda job: own(job, analyses=analyses)))
+    campaign = stage.begin(spec(3).model_copy(update={"reuse": False}))
+    stage.finish(campaign)
+    page = await get(stage, f"/campaigns/{campaign}")
+    assert "Survival before cameras" in page.text
+    assert "80.0 % (28.8 % – 97.5 %)" in page.text
+    assert "Survive in raster" in page.text
+    assert "3 of 3 (43.9 % – 100.0 %)" in page.text
+    assert "0 of 3 (0.0 % – 56.1 %)" in page.text
+    assert "broken" not in page.text
+    assert "Survive in" not in (await get(stage, f"/campaigns/{plain}")).text
