@@ -15,18 +15,17 @@ from scene_attack.errors import JobFailure
 from scene_attack.export.glb import scene_glb
 from scene_attack.export.scene_values import scene_values
 from scene_attack.process import program
-from scene_attack.rendering.declaration import RENDERERS, BuildRequest, DeclaredRenderer
+from scene_attack.rendering.declaration import RENDERERS, BuildRequest
 from scene_attack.rendering.opengl.context import choose_platform
 from scene_attack.rendering.plan import Item, Plan
-from scene_attack.rendering.protocol import Parameters
-from scene_attack.rendering.pyrender.parameters import SceneParameters
+from scene_attack.rendering.pyrender.parameters import SceneParameters, SceneRenderer
 from scene_attack.scenes.resolve import ResolvedScene
 
 SECONDS_PER_IMAGE = 60.0
 """Longest time that an image may take."""
 
 
-class StockPyrender(DeclaredRenderer):
+class StockPyrender(SceneRenderer):
     """Images of a scene's exports, with the groups of pyrender.
 
     What the export cannot say to other programs is missing: the light from all around is the same from everywhere,
@@ -53,18 +52,6 @@ class StockPyrender(DeclaredRenderer):
     def build(cls, request: BuildRequest) -> "StockPyrender":
         """The renderer of a scene."""
         return cls(request.scene, request.groups)
-
-    def initial(self) -> Parameters:
-        """The scene's own values, float64."""
-        return self._numbers.initial()
-
-    def names(self, group: str) -> list[str] | None:
-        """A label for each coordinate of a group, in flat order."""
-        return self._numbers.light_names() if group == "illumination" else super().names(group)
-
-    def bounds(self) -> Mapping[str, tuple[Tensor, Tensor]]:
-        """Returns the bounds of `SceneParameters.bounds`."""
-        return self._numbers.bounds()
 
     def render(self, parameters: Mapping[str, Tensor]) -> Tensor:
         """Images float32 [B, H, W, 3] in [0,1], multiples of 1/255; `parameters` {group: [B, ...]}.

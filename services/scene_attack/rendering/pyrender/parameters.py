@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from scene_attack.errors import JobFailure
+from scene_attack.rendering.declaration import DeclaredRenderer
 from scene_attack.rendering.opengl.camera import CameraMatrices, LightCounts, Rectangle, RenderPass
 from scene_attack.rendering.pose import MovingCamera
 from scene_attack.rendering.protocol import Parameters
@@ -171,6 +172,26 @@ class SceneParameters:
         [objects, 3]. Those of what is fixed are the last.
         """
         return np.concatenate([model_matrices(translations, rotations, self._scales), self._fixed_poses])
+
+
+class SceneRenderer(DeclaredRenderer):
+    """Base class of renderers with the groups of pyrender: values, labels and bounds of its parameters are those of
+    `_numbers`, which a subclass sets.
+    """
+
+    _numbers: SceneParameters
+
+    def initial(self) -> Parameters:
+        """The scene's own values, float64."""
+        return self._numbers.initial()
+
+    def names(self, group: str) -> list[str] | None:
+        """A label for each coordinate of a group, in flat order."""
+        return self._numbers.light_names() if group == "illumination" else super().names(group)
+
+    def bounds(self) -> Mapping[str, tuple[Tensor, Tensor]]:
+        """Returns the bounds of `SceneParameters.bounds`."""
+        return self._numbers.bounds()
 
 
 def recolored(scene: ResolvedScene, perturbation: Parameters) -> ResolvedScene:

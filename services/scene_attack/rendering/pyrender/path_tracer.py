@@ -19,10 +19,9 @@ from torch import Tensor
 from scene_attack.errors import JobFailure
 from scene_attack.process import describe, finite
 from scene_attack.rendering.color import over_ground
-from scene_attack.rendering.declaration import BuildRequest, DeclaredRenderer
+from scene_attack.rendering.declaration import BuildRequest
 from scene_attack.rendering.plan import Item, Plan, Stage, image_error
-from scene_attack.rendering.protocol import Parameters
-from scene_attack.rendering.pyrender.parameters import SceneParameters
+from scene_attack.rendering.pyrender.parameters import SceneParameters, SceneRenderer
 from scene_attack.rendering.pyrender.path_traced import PathTracing
 from scene_attack.rendering.pyrender.renderer import EXPOSURE, Ground
 from scene_attack.scenes.resolve import ResolvedScene
@@ -52,7 +51,7 @@ class Frame:
     spots: Array
 
 
-class PathTracer(DeclaredRenderer):
+class PathTracer(SceneRenderer):
     """Images of a scene as a function of its lights, colours, poses and camera, with the groups of pyrender.
 
     A subclass has a `declaration`, which `path_traced` makes, and implements `trace` and `tracer`. The image of a frame
@@ -110,18 +109,6 @@ class PathTracer(DeclaredRenderer):
         """The tracer, the settings and the processor."""
         how = f"{self.samples} samples, {self.bounces} bounces, seed {self.seed}"
         return f"{self.tracer}, {how}, {describe(torch.device('cpu'))}, torch {torch.__version__}"
-
-    def initial(self) -> Parameters:
-        """The scene's own values, float64."""
-        return self._numbers.initial()
-
-    def names(self, group: str) -> list[str] | None:
-        """A label for each coordinate of a group, in flat order."""
-        return self._numbers.light_names() if group == "illumination" else super().names(group)
-
-    def bounds(self) -> Mapping[str, tuple[Tensor, Tensor]]:
-        """Returns the bounds of `SceneParameters.bounds`."""
-        return self._numbers.bounds()
 
     def exact(self) -> "PathTracer":
         """The twin with `verify_samples` samples, under a seed of its own."""

@@ -14,7 +14,7 @@ from torch import Tensor
 from scene_attack.errors import JobFailure
 from scene_attack.process import finite
 from scene_attack.rendering.color import over_ground
-from scene_attack.rendering.declaration import BuildRequest, DeclaredRenderer
+from scene_attack.rendering.declaration import BuildRequest
 from scene_attack.rendering.opengl import context, gbuffer
 from scene_attack.rendering.opengl.camera import CameraMatrices, Rectangle, RenderPass, beyond, rectangle
 from scene_attack.rendering.opengl.shadows import check_size, images_per_pass, pass_shadows
@@ -24,7 +24,7 @@ from scene_attack.rendering.protocol import InactiveCoordinate, Parameters, Rend
 from scene_attack.rendering.pyrender import planner, rasteriser
 from scene_attack.rendering.pyrender.batching import Array, SharedPass, alone, fill, shared
 from scene_attack.rendering.pyrender.declaration import PYRENDER
-from scene_attack.rendering.pyrender.parameters import SceneParameters
+from scene_attack.rendering.pyrender.parameters import SceneParameters, SceneRenderer
 from scene_attack.rendering.pyrender.planner import (
     Rasterised,
     compile_plan,
@@ -133,7 +133,7 @@ ROUNDING = 1e-3
 """Margin, in scene units and as a share of the move, by which an object must be beyond the frame to be outside."""
 
 
-class PyrenderRenderer(DeclaredRenderer):
+class PyrenderRenderer(SceneRenderer):
     """Images of a scene as a function of its lights, colours, poses and camera.
 
     Groups, all float tensors, are declared in `declaration`: `illumination`, `color`, `translation`, `rotation` and
@@ -256,18 +256,6 @@ class PyrenderRenderer(DeclaredRenderer):
     def sampled_error(self) -> ImageError | None:
         """The largest error of the images rendered so far that OpenGL drew too; None if it drew none of them."""
         return self._sampled
-
-    def initial(self) -> Parameters:
-        """The scene's own values, float64."""
-        return self._numbers.initial()
-
-    def names(self, group: str) -> list[str] | None:
-        """A label for each coordinate of a group, in flat order."""
-        return self._numbers.light_names() if group == "illumination" else super().names(group)
-
-    def bounds(self) -> Mapping[str, tuple[Tensor, Tensor]]:
-        """Returns the bounds of `SceneParameters.bounds`."""
-        return self._numbers.bounds()
 
     def exact(self) -> "PyrenderRenderer":
         """The twin that has OpenGL draw every image by itself, whole, with the backfaces of watertight surfaces."""
