@@ -152,6 +152,11 @@ class Table(_Record):
     attacks: list[str]
     cells: list[Cell]
 
+    @property
+    def renderers(self) -> list[str]:
+        """The renderers that were asked for a second opinion."""
+        return list(dict.fromkeys(name for cell in self.cells for name in cell.second_opinion))
+
     def cell(self, target: str, attack: str) -> Cell | None:
         """The cell of a target and an attack; None if the campaign does not combine them."""
         return next((cell for cell in self.cells if (cell.target, cell.attack) == (target, attack)), None)
@@ -451,7 +456,6 @@ def to_csv(table: Table) -> str:
     """One line for each target and attack; rates and their intervals in [0,1], p in full range; empty where unknown."""
     rates = [f"{name}_{part}" for name in RATES for part in Rate.model_fields]
     means = ("perceptibility", "loop_perceptibility", "truncated")
-    renderers = list(dict.fromkeys(name for cell in table.cells for name in cell.second_opinion))
     rows = [
         [
             *(table.campaign, cell.target, cell.attack),
@@ -460,12 +464,12 @@ def to_csv(table: Table) -> str:
             *(value for name in RATES for _, value in getattr(cell, name)),
             *(getattr(cell, name) for name in means),
             *(None if cell.survival is None else getattr(cell.survival, name) for name in Mean.model_fields),
-            *(value for name in renderers for _, value in cell.second_opinion.get(name, Rate.of_cases(0, 0))),
+            *(value for name in table.renderers for _, value in cell.second_opinion.get(name, Rate.of_cases(0, 0))),
         ]
         for cell in table.cells
     ]
     survival = [f"survival_{part}" for part in Mean.model_fields]
-    opinions = [f"second_opinion_{name}_{part}" for name in renderers for part in Rate.model_fields]
+    opinions = [f"second_opinion_{name}_{part}" for name in table.renderers for part in Rate.model_fields]
     columns = ["campaign", "target", "attack", *COUNTS, *OUTCOMES, *rates, *means, *survival, *opinions]
     return _csv(columns, rows)
 

@@ -31,12 +31,13 @@ def results(found: "Table") -> FittedTable:
     """The table of a campaign: a row for each target and attack."""
     columns = ("target", "attack", "ended>", "n>", "success %>", "95 % interval>", "p ×1e-3>", "held within ε>")
     loop = ("in the loop %>", "p in the loop ×1e-3>", "truncated px>", "survival %>", "failed>", "reused>")
-    renderers = list(dict.fromkeys(name for cell in found.cells for name in cell.second_opinion))
-    opinions = tuple(f"survive in {name}>" for name in renderers)
+    opinions = tuple(f"survive in {name}>" for name in found.renderers)
     spare: tuple[str, ...] = ("reused", "held within ε", "truncated px", "failed", "in the loop %", "ended", "n")
     if not any(cell.survival for cell in found.cells):
         spare = ("survival %", *spare)
-    rows = [[*_row(cell), *(_opinion(cell.second_opinion.get(name)) for name in renderers)] for cell in found.cells]
+    rows = [
+        [*_row(cell), *(_opinion(cell.second_opinion.get(name)) for name in found.renderers)] for cell in found.cells
+    ]
     return FittedTable((*columns, *loop, *opinions), rows, title=found.campaign, spare=spare)
 
 
