@@ -49,11 +49,9 @@ def second_opinion(
             after = Verifier(build(changed, other, groups=tuple(shared), tolerance="exact"), target)
         images = before.image({}), after.image(shared)
         shown = shown_to(before, wanted, *images)
-        seeds = [after.logits(to_bytes(image)) for image in after.reseeded(shared)]
+        share = _share(before, after, wanted, images[0], shared)
     except JobFailure as failure:
         return SecondOpinion(renderer=other, failure=failure.detail, note=note), {}
-    goal = wanted.goal(int(before.logits(images[0]).argmax()))
-    share = sum(bool(goal.fooled(scores)) for scores in seeds) / len(seeds) if seeds else None
     opinion = SecondOpinion(
         renderer=other,
         before=shown.before,
@@ -64,3 +62,14 @@ def second_opinion(
         note=note,
     )
     return opinion, {image_file(other, which): image for which, image in zip(IMAGES, images, strict=True)}
+
+
+def _share(
+    before: Verifier, after: Verifier, wanted: Wanted, original: Tensor, perturbation: Parameters
+) -> float | None:
+    """The share of other seeds under which the goal is met; None where the images have no noise."""
+    seeds = [after.logits(to_bytes(image)) for image in after.reseeded(perturbation)]
+    if not seeds:
+        return None
+    goal = wanted.goal(int(before.logits(original).argmax()))
+    return sum(bool(goal.fooled(scores)) for scores in seeds) / len(seeds)

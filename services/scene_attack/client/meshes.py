@@ -58,10 +58,9 @@ def with_meshes_added(
             except InvalidRequest as error:
                 not_added[mesh] = f"{mesh}: {error.detail}"
             else:
-                for note in (
-                    notes if not place.endswith(_SCENE) else ()
-                ):  # a scene shows more, and says what it does not
-                    say(f"{mesh}: not shown: {note}")
+                if not place.endswith(_SCENE):  # a scene shows more, and says what it does not
+                    for note in notes:
+                        say(f"{mesh}: not shown: {note}")
         return added.get(mesh, mesh)
 
     for place in _PLACES:
