@@ -88,7 +88,9 @@ class ShadowMaps:
         if shadows.resolution != self._resolution or len(self._rows) + n_new > self._layers:
             self._maps, self._rows, missing = {}, [], list(views)
             n_new = sum(len(seen) for _, _, seen in views.values())
-            self._allocate(shadows.resolution, max(n_new, self._layers, FEWEST_LAYERS))
+            # as many layers as before, of the same size: other maps may be so large that as many have no place
+            fewest = self._layers if shadows.resolution == self._resolution else FEWEST_LAYERS
+            self._allocate(shadows.resolution, max(n_new, fewest))
         GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, self._frame)
         GL.glDrawBuffer(GL.GL_NONE)
         GL.glReadBuffer(GL.GL_NONE)

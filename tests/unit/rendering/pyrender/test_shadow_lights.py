@@ -10,6 +10,7 @@ import torch
 
 from scene_attack.errors import InvalidRequest
 from scene_attack.rendering.declaration import BuildRequest
+from scene_attack.rendering.kernels import compiled
 from scene_attack.rendering.pyrender.renderer import PyrenderRenderer
 from scene_attack.scenes.description import DirectionalLight, Floor, Lights, PointLight, Shadows, SpotLight
 from scene_attack.scenes.resolve import ResolvedScene
@@ -123,3 +124,18 @@ def test_objects_that_a_floor_hides_are_refused() -> None:
     with pytest.raises(InvalidRequest, match="no object covers") as refused:
         PyrenderRenderer.build(BuildRequest(replace(scene, description=buried), ("color",), 1e-3, None))
     assert refused.value.field == "scene.objects"
+
+
+@pytest.mark.usefixtures("software_opengl")
+def test_fine_maps_have_a_place_after_many_coarse_ones(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A batch has a small map for each of 48 places of lights. As many of the finest would take 3 GiB."""
+    monkeypatch.setattr(compiled, "library", lambda: None)
+    places = [(1.2, 2.5, 1.0), (-1.2, 2.5, 1.0), (1.2, 2.5, -1.0), (-1.2, 2.5, -1.0)]
+    lights = Lights(points=tuple(PointLight(position=place) for place in places))
+    scene = over_ground(ball(), shadows=HARD.model_copy(update={"resolution": 64}), size=(24, 32))
+    renderer = PyrenderRenderer(replace(scene, description=scene.description.model_copy(update={"lights": lights})))
+    assert not renderer.rasterises
+    illuminations = renderer.initial()["illumination"].repeat(12, 1) + torch.linspace(0, 0.1, 12)[:, None]
+    assert renderer.render({"illumination": illuminations}).shape[0] == 12
+    finest = over_ground(ball(), shadows=HARD.model_copy(update={"resolution": 4096}), size=(24, 32))
+    assert np.nanmin(passing(finest, points=(PointLight(position=(1.2, 2.5, 1.0)),))) == 0.0
