@@ -48,6 +48,7 @@ class Room:
             "lights"
         ]
         listed.append(light)
+        self.writer.tree["extensionsRequired"] = ["KHR_lights_punctual"]  # as Blender writes it
         self.node(extensions={"KHR_lights_punctual": {"light": len(listed) - 1}}, **entry)
 
     def without(self, *names: str) -> "Room":

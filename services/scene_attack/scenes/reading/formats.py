@@ -23,8 +23,8 @@ from scene_attack.scenes.bundle import SIGNATURE, Up, unpack_archive
 from scene_attack.scenes.image_file import open_texture
 from scene_attack.scenes.mesh import Part, TooLarge, check_size
 from scene_attack.scenes.reading.companion_files import CompanionFiles, check_xml, decoded, texture_name
-from scene_attack.scenes.reading.gltf import READ_EXTENSIONS, GltfFile, check_glb, check_gltf, read_gltf
-from scene_attack.scenes.reading.gltf_scene import LIGHTS, read_scene
+from scene_attack.scenes.reading.gltf import LIGHTS, READ_EXTENSIONS, GltfFile, check_glb, check_gltf, read_gltf
+from scene_attack.scenes.reading.gltf_scene import read_scene
 from scene_attack.scenes.reading.isolated import Report, listed
 from scene_attack.scenes.reading.surfaces import MAX_TEXTURE, read_opacity, read_surfaces, to_parts
 from scene_attack.scenes.scene_file import SceneFile

@@ -40,7 +40,9 @@ from scene_attack.scenes.reading.surfaces import MAX_COORDINATE, Textures, round
 from scene_attack.strict import NotJson, read_json
 
 READ_EXTENSIONS = ("KHR_mesh_quantization", "EXT_texture_webp")
-"""glTF extensions that are supported and that a file may therefore require."""
+"""glTF extensions that are supported in a mesh."""
+LIGHTS = "KHR_lights_punctual"
+"""The extension with the lights of a scene. A file may require it, as those of Blender do, and a mesh has no use for it."""
 
 TRIANGLES, STRIP, FAN = 4, 5, 6
 """Modes of primitives that have triangles. 0 to 3 are points and lines."""
@@ -82,7 +84,7 @@ class GltfFile:
         if not isinstance(tree, dict):
             raise Unreadable("its JSON is not an object")
         self.tree: dict[str, Any] = tree
-        unread = [name for name in self.array("extensionsRequired") if name not in READ_EXTENSIONS]
+        unread = [name for name in self.array("extensionsRequired") if name not in (*READ_EXTENSIONS, LIGHTS)]
         if unread:
             names = ", ".join(str(name) for name in unread)
             raise Unreadable(f"it requires the extension {names} (extensionsRequired), which is not read")

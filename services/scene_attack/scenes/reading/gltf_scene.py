@@ -9,7 +9,7 @@ import numpy as np
 
 from scene_attack.errors import Unreadable, shortened
 from scene_attack.scenes.mesh import FIT_RADIUS, Doubles, ball
-from scene_attack.scenes.reading.gltf import GltfFile, PlacedNode, Placement, elements, number, numbers
+from scene_attack.scenes.reading.gltf import LIGHTS, GltfFile, PlacedNode, Placement, elements, number, numbers
 from scene_attack.scenes.reading.isolated import listed
 from scene_attack.scenes.scene_file import (
     DESCRIPTION,
@@ -27,7 +27,6 @@ from scene_attack.scenes.scene_file import (
     vector,
 )
 
-LIGHTS = "KHR_lights_punctual"
 INSTANCES = "EXT_mesh_gpu_instancing"
 LONGEST_DESCRIPTION = 1_000_000
 """Characters of a description; a picture that is its background may have 400,000."""
