@@ -14,19 +14,24 @@ import platform
 import resource
 import signal
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
-_CREATE_RULESET, _RESTRICT_SELF = 444, 446
+_CREATE_RULESET, _ADD_RULE, _RESTRICT_SELF = 444, 445, 446
 _GET_VERSION = 1
+_BENEATH = 1
 _FILE_RIGHTS = {1: 13, 2: 14, 3: 15, 4: 15, 5: 16}
 """Number of rights over files that each version knows: they are the lowest bits of a mask."""
+_TO_READ = 0b1100
+"""The rights to read a file and to list a folder."""
 
 
-def forbid_files() -> None:
-    """Refuses this thread, for ever, to open, list, make, move or remove any file, and to use TCP.
+def forbid_files(readable: Sequence[Path] = (), writable: Sequence[Path] = ()) -> None:
+    """Refuses this thread, for ever, to open, list, make, move or remove any file, and to use TCP. What is beneath the
+    folders `readable` it may read, and beneath `writable` do anything with.
 
-    What is open stays open. Raises OSError if the kernel has no Landlock.
+    What is open stays open. Raises OSError if the kernel has no Landlock, or a folder is not there.
     """
     version = syscall(_CREATE_RULESET, 0, 0, _GET_VERSION)
     files = (1 << _FILE_RIGHTS[min(version, max(_FILE_RIGHTS))]) - 1
@@ -35,6 +40,14 @@ def forbid_files() -> None:
     forbid_new_privileges()
     ruleset = syscall(_CREATE_RULESET, ctypes.c_char_p(rights), len(rights), 0)
     try:
+        for folders, granted in ((readable, _TO_READ), (writable, files)):
+            for folder in folders:
+                opened = os.open(folder, os.O_PATH)
+                try:
+                    rule = struct.pack("=Qi", granted, opened)
+                    syscall(_ADD_RULE, ruleset, _BENEATH, ctypes.c_char_p(rule), 0)
+                finally:
+                    os.close(opened)
         syscall(_RESTRICT_SELF, ruleset, 0)  # a right that is named, and given by no rule, is refused
     finally:
         os.close(ruleset)

@@ -12,8 +12,8 @@ RELEASE = "5.0"
 """The release of Blender that is tested. Another one has other nodes, settings and random numbers."""
 
 
-def check_installed(field: str) -> None:
-    """Raises MissingExtra(field) unless Blender is there as a Python module, in the release that is tested."""
+def check_installed(field: str, what: str = "the renderer blender") -> None:
+    """Raises MissingExtra(field) unless Blender, which `what` needs, is there as a Python module of RELEASE."""
     try:
         found = version("bpy")
     except PackageNotFoundError:
@@ -25,7 +25,7 @@ def check_installed(field: str) -> None:
     else:
         there = "is not installed" if found is None else f"is there as {found}"
         need = f'the package bpy {RELEASE}, which {there}: pip install --no-deps "bpy=={RELEASE}.*"'
-    raise MissingExtra(field, f"the renderer blender needs {need}")
+    raise MissingExtra(field, f"{what} needs {need}")
 
 
 BLENDER = path_traced(

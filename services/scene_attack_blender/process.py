@@ -97,7 +97,7 @@ class BlenderProcess:
             self._process = subprocess.Popen(
                 program("scene_attack_blender.cycles", str(theirs.fileno()), self._folder.name),
                 pass_fds=[theirs.fileno()],
-                env=_environment(self._folder.name),
+                env=environment(self._folder.name),
                 cwd="/",
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
@@ -141,14 +141,7 @@ class BlenderProcess:
             code = self._process.wait(ENDING_SECONDS)
         except subprocess.TimeoutExpired:
             return JobFailure("internal", "Blender closed its connection, and was ended")
-        printed = Path(self._folder.name, ERRORS).read_text("utf-8", "replace").strip()
-        if "bad_alloc" in printed or "MemoryError" in printed.rpartition("\n")[2]:
-            return JobFailure("out-of-memory", "Blender ran out of memory")
-        if code < 0:
-            name = signal.Signals(-code).name
-            why = ", as the system does to a process when memory runs out" if code == -signal.SIGKILL else ""
-            return JobFailure("internal", f"Blender was ended by the signal {name}{why}")
-        return JobFailure("internal", f"Blender ended with code {code}: {printed.rpartition(chr(10))[2]}")
+        return ended(code, Path(self._folder.name, ERRORS).read_text("utf-8", "replace"))
 
     def _end(self) -> None:
         if self._process is not None:
@@ -162,13 +155,25 @@ class BlenderProcess:
         self._process = self._stream = self._connection = self._folder = self._staged = None
 
 
+def ended(code: int, printed: str) -> JobFailure:
+    """Why a process of Blender's ended with a code, by what it printed of errors."""
+    last = printed.strip().rpartition("\n")[2]
+    if "bad_alloc" in printed or "MemoryError" in last:
+        return JobFailure("out-of-memory", "Blender ran out of memory")
+    if code < 0:
+        name = signal.Signals(-code).name
+        why = ", as the system does to a process when memory runs out" if code == -signal.SIGKILL else ""
+        return JobFailure("internal", f"Blender was ended by the signal {name}{why}")
+    return JobFailure("internal", f"Blender ended with code {code}: {last}")
+
+
 @lru_cache(maxsize=1)
 def blender() -> BlenderProcess:
     """Returns this process's Blender, which the kernel ends with this process."""
     return BlenderProcess()
 
 
-def _environment(folder: str) -> dict[str, str]:
+def environment(folder: str) -> dict[str, str]:
     """Environment variables with which Python finds the project, and Blender no folder of a user or a site."""
     project = os.fspath(Path(__file__).parents[1])
     return {

@@ -25,8 +25,8 @@ LAZY = {
     "services/scene_attack_service/jobs/answer_limit.py": "postgresql",
 }
 """Modules that are imported only inside a block of `extra`, and so may begin with the imports of one."""
-ELSEWHERE = {"stock", "cycles.py"}
-"""Files and folders of programs that run elsewhere, the second in Blender's process (`scene_attack_blender.plugin`)."""
+ELSEWHERE = {"stock", "cycles.py", "conversion.py"}
+"""Files and folders of programs that run elsewhere, the latter in Blender's process (`scene_attack_blender.plugin`)."""
 BROUGHT = {
     "OpenEXR": "Imath",
     "pydantic_core": "pydantic",

@@ -71,6 +71,8 @@ NOTHING_SAID = About()
 
 MESH_KINDS = ("obj", "ply", "stl", "glb", "off", "gltf", "dae", "3mf")
 """The kinds of mesh files, which are also the endings of their names."""
+CONVERTED_KINDS = ("blend", "usd", "usda", "usdc", "usdz")
+"""The endings of files that the command `convert` makes meshes of."""
 MAP_KINDS = ("hdr", "exr")
 """The kinds of environment maps."""
 _IMAGES = ("png", "jpg", "jpeg", "webp")
@@ -190,7 +192,8 @@ def _main(names: Sequence[str], kind: str | None, mesh: str | None) -> str:
     if not meshes:
         endings = ", ".join(f".{ending}" for ending in ((kind,) if kind else MESH_KINDS))
         if len(names) == 1:
-            raise InvalidRequest("kind", f"the name {names[0]!r} does not say it; a mesh ends in {endings}")
+            hint = "; `scene-attack convert` makes a .glb file of it" if _ending(names[0]) in CONVERTED_KINDS else ""
+            raise InvalidRequest("kind", f"the name {names[0]!r} does not say it; a mesh ends in {endings}{hint}")
         raise InvalidRequest("file", f"there is no mesh among the {len(names):,} files; a mesh ends in {endings}")
     if len(meshes) > 1:
         raise InvalidRequest(

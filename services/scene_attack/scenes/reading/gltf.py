@@ -42,7 +42,7 @@ from scene_attack.strict import NotJson, read_json
 READ_EXTENSIONS = ("KHR_mesh_quantization", "EXT_texture_webp")
 """glTF extensions that are supported in a mesh."""
 LIGHTS = "KHR_lights_punctual"
-"""The extension with the lights of a scene. A file may require it, as those of Blender do, and a mesh has no use for it."""
+"""The extension with a scene's lights. A file may require it, as those of Blender do; a mesh has no use for it."""
 
 TRIANGLES, STRIP, FAN = 4, 5, 6
 """Modes of primitives that have triangles. 0 to 3 are points and lines."""
