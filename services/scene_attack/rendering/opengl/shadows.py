@@ -7,6 +7,7 @@ object leaves the texels where they are, so that differences of images have litt
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import sqrt
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,6 +24,9 @@ Array = NDArray[np.float64]
 
 SIDES = 6
 """Maps of a light among the objects; others need one."""
+TEXEL_BYTES = 4
+FINER = 2
+"""Factor on the texels along a side of a map, and the square root of that on samples, of maps that tell the error."""
 MAX_IMAGE_BYTES = 2**30
 """Limit of the memory of one image's shadow maps, bytes, as if all its lights were among the objects."""
 MAX_PASS_BYTES = 2**29
@@ -69,9 +73,18 @@ def check_size(scene: Scene) -> None:
         )
 
 
+def finer(shadows: Shadows, lights: int) -> Shadows:
+    """Shadows of FINER times as many texels a side and FINER² times as many samples, as far as a scene with so many
+    lights may have them."""
+    most = int(sqrt(MAX_IMAGE_BYTES / (SIDES * max(1, lights) * TEXEL_BYTES))) // 8 * 8
+    resolution = min(FINER * shadows.resolution, 4096, max(shadows.resolution, most))
+    samples = min(FINER**2 * shadows.samples, 64)
+    return shadows.model_copy(update={"resolution": resolution, "samples": samples})
+
+
 def _image_bytes(scene: Scene) -> int:
     lights = len(scene.lights.points) + len(scene.lights.directional) + len(scene.lights.spots)
-    return 0 if scene.shadows is None else SIDES * lights * 4 * scene.shadows.resolution**2
+    return 0 if scene.shadows is None else SIDES * lights * TEXEL_BYTES * scene.shadows.resolution**2
 
 
 def pass_shadows(lit: "RenderPass", shadows: Shadows) -> PassShadows | None:

@@ -15,6 +15,7 @@ from torch import Tensor
 from scene_attack.errors import JobFailure
 from scene_attack.rendering.declaration import DeclaredRenderer
 from scene_attack.rendering.opengl.camera import CameraMatrices, LightCounts, Rectangle, RenderPass
+from scene_attack.rendering.opengl.shadows import finer
 from scene_attack.rendering.pose import MovingCamera
 from scene_attack.rendering.protocol import Parameters
 from scene_attack.scenes.resolve import ResolvedScene
@@ -24,8 +25,6 @@ ENERGY = 30.0
 """Unit of a point or spot light's energy in the group `illumination`, so that all its coordinates are near 1."""
 IRRADIANCE = 3.0
 """Unit of a directional light's energy there."""
-FINER = 2
-"""Factor on the side of shadow maps in the image that a plan compares the scene's own shadows with."""
 _PLACE, _DIRECTION = ("x", "y", "z"), ("direction x", "direction y", "direction z")
 _LIGHTS = (
     ("point", ("energy", *_PLACE), ENERGY),
@@ -146,15 +145,11 @@ class SceneParameters:
         return plain
 
     def with_finer_shadows(self) -> "SceneParameters":
-        """Returns the same with shadow maps of FINER² times as many texels and samples, as far as a scene may have
-        them.
-        """
-        finer = copy(self)
+        """Returns the same with finer shadow maps, as far as a scene may have them."""
+        other = copy(self)
         if self.shadows is not None:
-            resolution = min(FINER * self.shadows.resolution, 4096)
-            samples = min(FINER**2 * self.shadows.samples, 64)
-            finer.shadows = self.shadows.model_copy(update={"resolution": resolution, "samples": samples})
-        return finer
+            other.shadows = finer(self.shadows, sum(self._counts))
+        return other
 
     def _lights(self) -> list[tuple[str, str]]:
         """For each coordinate of the group `illumination` its light and its name there."""

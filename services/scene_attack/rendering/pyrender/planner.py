@@ -26,7 +26,7 @@ from scene_attack.rendering.opengl.shadows import box_corners, casters, pass_sha
 from scene_attack.rendering.plan import GradientError, ImageError, Item, Plan, Stage, Tolerance, image_error
 from scene_attack.rendering.protocol import InactiveCoordinate, Parameters, Renderer
 from scene_attack.rendering.pyrender.batching import SharedPass, alone, shared
-from scene_attack.rendering.pyrender.parameters import FINER
+from scene_attack.scenes.description import Shadows
 
 if TYPE_CHECKING:
     from scene_attack.rendering.opengl.mesh_upload import Drawing
@@ -476,9 +476,9 @@ def both_sides(start: Mapping[str, Tensor], groups: Sequence[str], step: float =
     return {name: torch.stack([row[name] for row in rows]) for name in start}
 
 
-def with_shadows(plan: Plan, drawing: "Drawing", lit: RenderPass, error: float) -> Plan:
+def with_shadows(plan: Plan, drawing: "Drawing", lit: RenderPass, finer: Shadows, error: float) -> Plan:
     """Returns the plan with its item and its stage of shadows; unchanged if there are none. `lit` is the scene's own
-    image, and `error` that of `shadow_error`.
+    image, and `error` that of `shadow_error` to one with the shadows `finer`.
     """
     shadows = lit.shadows
     of_lights = None if shadows is None else pass_shadows(lit, shadows)
@@ -505,9 +505,9 @@ def with_shadows(plan: Plan, drawing: "Drawing", lit: RenderPass, error: float) 
         when="every image",
         evaluations=maps * texels,
         unit="texels",
-        why="the exact image has the same maps, so this costs it no error; maps and samples each "
-        f"{FINER**2} times as many change displayed values by {error:.1e} in the mean over covered pixels; images of "
-        "one pass share the maps of lights that agree, and maps stay until an object moves",
+        why=f"the exact image has the same maps, so this costs it no error; {finer.resolution} × {finer.resolution} "
+        f"texels and {finer.samples} samples change displayed values by {error:.1e} in the mean over covered pixels; "
+        "images of one pass share the maps of lights that agree, and maps stay until an object moves",
     )
     return plan.model_copy(update={"items": (*plan.items, item), "stages": (*plan.stages, stage)})
 

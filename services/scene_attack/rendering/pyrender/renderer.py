@@ -212,12 +212,13 @@ class PyrenderRenderer(SceneRenderer):
             most=self._most,
             idle=[] if self._plain else self.inactive(self.initial(), {}),
         )
-        if self._numbers.shadows is None:
+        numbers = self._numbers.with_finer_shadows()
+        if numbers.shadows is None:
             return plan
         finer, own = copy(self._twin), self._twin.radiance({})[0]
-        finer._numbers = self._numbers.with_finer_shadows()
+        finer._numbers = numbers
         error = shadow_error(over_ground(own, EXPOSURE, self._ground.at_start), finer.render({})[0], own[..., 3] > 0)
-        return with_shadows(plan, self.drawing, self._at_start(), error)
+        return with_shadows(plan, self.drawing, self._at_start(), numbers.shadows, error)
 
     def _try_rasteriser(self, groups: tuple[str, ...], tolerance: float) -> Rasterised:
         """Measures the rasteriser and lets it draw if it is within the tolerance (`_rasterises`); returns its accuracy,

@@ -1,7 +1,7 @@
 """Shadow maps of several lights, of lights far away, and of what casts no shadow; and which of them a plan counts."""
 
 from dataclasses import replace
-from math import pi
+from math import cos, pi, sin
 from typing import Any
 
 import numpy as np
@@ -139,3 +139,17 @@ def test_fine_maps_have_a_place_after_many_coarse_ones(monkeypatch: pytest.Monke
     assert renderer.render({"illumination": illuminations}).shape[0] == 12
     finest = over_ground(ball(), shadows=HARD.model_copy(update={"resolution": 4096}), size=(24, 32))
     assert np.nanmin(passing(finest, points=(PointLight(position=(1.2, 2.5, 1.0)),))) == 0.0
+
+
+def test_the_finer_maps_of_a_plan_fit_into_memory_as_the_scenes_own_do() -> None:
+    """Eight lights among the objects, each with six maps: of 4,096 texels a side they would take 3 GiB."""
+    around = [(0.3 * cos(k), 0.9, 0.3 * sin(k)) for k in range(8)]
+    points = tuple(PointLight(position=place) for place in around[:4])
+    spots = tuple(SpotLight(position=place, direction=(0, -1, 0), outer_angle=1.5) for place in around[4:])
+    scene = over_ground(ball(), shadows=HARD.model_copy(update={"resolution": 2048}), size=(24, 32))
+    lit = scene.description.model_copy(update={"lights": Lights(points=points, spots=spots)})
+    [stage] = [
+        one for one in PyrenderRenderer(replace(scene, description=lit)).plan.stages if one.name == "shadow maps"
+    ]
+    assert stage.method.startswith("48 maps of 2048 × 2048 texels")
+    assert "; 2360 × 2360 texels and 64 samples change displayed values by " in stage.why  # a little below 1 GiB

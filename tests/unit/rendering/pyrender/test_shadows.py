@@ -9,7 +9,7 @@ import torch
 
 from scene_attack.errors import InvalidRequest
 from scene_attack.rendering.declaration import BuildRequest
-from scene_attack.rendering.pyrender.parameters import FINER
+from scene_attack.rendering.opengl.shadows import FINER
 from scene_attack.rendering.pyrender.planner import shadow_error
 from scene_attack.rendering.pyrender.renderer import PyrenderRenderer
 from scene_attack.scenes.description import DirectionalLight, Lights, PointLight, SceneObject, Shadows, SpotLight
