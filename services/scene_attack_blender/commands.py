@@ -59,6 +59,8 @@ def convert(
         if run.returncode != 0:
             raise ended(run.returncode, run.stderr)
         notes = json.loads(Path(folder, "notes.json").read_bytes())
+        if notes["unconfined"] is not None:
+            remark(f"nothing kept Blender from files outside the folder of {file.name}: {notes['unconfined']}")
         if notes["error"] is not None:
             raise InvalidRequest("FILE", f"Blender cannot read {file.name}: {notes['error']}")
         write(out, Path(folder, "scene.glb").read_bytes())

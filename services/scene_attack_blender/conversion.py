@@ -1,6 +1,6 @@
 """The process that converts a file to glTF: `python -m scene_attack_blender.conversion <file> <folder>`. It writes
 `scene.glb` into the folder, and `notes.json`: {"missing": what the file has and the scene has not, "error": why there
-is no scene, or null}.
+is no scene, or null, "unconfined": why it could have read other files, or null}.
 
 The file may be anybody's. None of its scripts is run, and files outside its own folder are not read where the kernel
 can refuse it: what refers to them is missing.
@@ -13,9 +13,32 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import bpy
-
 from scene_attack.confinement import die_with_parent, forbid_files
+
+SYSTEM = ("/usr", "/lib", "/lib64")
+"""Folders of libraries, which Blender and the modules of its exporter load."""
+
+
+def confine(file: Path, folder: Path) -> str | None:
+    """Refuses this process all files but those beside `file`, those in `folder` and the programs' own. Returns why the
+    kernel cannot, or None.
+
+    Landlock confines the thread that asks and those that it starts from then on. Blender reads files in threads of its
+    own, the first of which it starts when it is imported: this comes before.
+    """
+    programs = {*SYSTEM, sys.base_prefix, sys.prefix, *sys.path}
+    try:
+        forbid_files([*(Path(name) for name in programs if Path(name).is_dir()), file.parent], [folder])
+    except OSError as error:
+        return str(error)
+    return None
+
+
+if __name__ == "__main__":
+    die_with_parent()
+    unconfined = confine(Path(sys.argv[1]), Path(sys.argv[2]))
+
+import bpy  # noqa: E402
 
 SCENE, NOTES = "scene.glb", "notes.json"
 """The files that are written."""
@@ -31,11 +54,6 @@ def convert(file: Path, folder: Path) -> list[str]:
     for name in list(bpy.context.preferences.addons.keys()):
         if name != "io_scene_gltf2":
             bpy.ops.preferences.addon_disable(module=name)
-    system = [Path(name) for name in {sys.base_prefix, sys.prefix, *sys.path} if Path(name).is_dir()]
-    try:
-        forbid_files([*system, Path(bpy.utils.resource_path("LOCAL")), file.parent], [folder])
-    except OSError as error:
-        print(f"files outside the folder are not refused: {error}", file=sys.stderr)
     if file.suffix.lower() == ".blend":
         bpy.ops.wm.open_mainfile(filepath=os.fspath(file), load_ui=False, use_scripts=False)
     else:
@@ -118,11 +136,11 @@ def _drivers() -> Iterator[bool]:
 
 
 if __name__ == "__main__":
-    die_with_parent()
     found, error = [], None
     try:
         found = convert(Path(sys.argv[1]), Path(sys.argv[2]))
     except RuntimeError as raised:
         lines = [line for line in str(raised).splitlines() if line.strip() and not line.startswith("Location: ")]
         error = " ".join((lines[-1] if "Traceback" in lines[0] else " ".join(lines)).removeprefix("Error: ").split())
-    Path(sys.argv[2], NOTES).write_text(json.dumps({"missing": found, "error": error}), "utf-8")
+    notes = {"missing": found, "error": error, "unconfined": unconfined}
+    Path(sys.argv[2], NOTES).write_text(json.dumps(notes), "utf-8")

@@ -2,6 +2,8 @@
 
 import json
 import re
+import subprocess
+import sys
 from math import atan, pi
 from pathlib import Path
 
@@ -13,6 +15,7 @@ from scene_attack.client.meshes import bundle_at
 from scene_attack.options import DEFAULTS
 from scene_attack.scenes.scene_file import SceneFile
 from scene_attack_blender import plugin
+from scene_attack_blender.process import environment
 from tests.unit.blender.blend_files import Box, room, written
 from tests.unit.client.command_line import Done, cli
 from tests.unit.path_tracing.conftest import missing
@@ -192,6 +195,33 @@ def test_no_script_of_a_file_is_run(tmp_path: Path) -> None:
         "what its scripts and Python drivers would do: none is run"
     ]
     assert not left.exists()
+
+
+def test_every_thread_of_blender_is_confined(tmp_path: Path) -> None:
+    """Geometry nodes, for one, read files in threads that Blender starts when it is imported, and Landlock confines a
+    thread and those that it starts later. It needs that a thread gains no privileges, which the kernel shows.
+    """
+    file, folder = written(tmp_path, SOLID), tmp_path / "temporary"
+    folder.mkdir()
+    code = (
+        "import runpy, sys\n"
+        "runpy.run_module('scene_attack_blender.conversion', run_name='__main__')\n"
+        "print('converted', flush=True)\n"
+        "sys.stdin.read()\n"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-P", "-c", code, file, folder],
+        env=environment(str(folder)),
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as blender:
+        assert blender.stdout is not None
+        assert "converted\n" in blender.stdout
+        states = [task.read_text() for task in Path(f"/proc/{blender.pid}/task").glob("*/status")]
+        blender.communicate("")
+    assert len(states) > 1
+    assert all("NoNewPrivs:\t1\n" in state for state in states)
 
 
 def test_a_file_that_is_none_is_one_sentence(tmp_path: Path) -> None:
