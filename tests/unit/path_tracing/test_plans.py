@@ -40,6 +40,19 @@ def test_the_plan_states_samples_bounces_and_errors(name: str) -> None:
     assert stated == pytest.approx(measured, rel=0.5)
 
 
+def test_a_plan_is_that_of_its_own_settings(name: str) -> None:
+    """Jobs of one scene share what was measured for it, but not what other samples of an exact image gave."""
+    scene = shapes.placed(shapes.scene(SIZE), shapes.six_parts())
+    counts = []
+    for verify_samples in (4, 64):
+        [samples] = [i for i in tracer(name, scene, verify_samples=verify_samples).plan.items if "samples" in i.what]
+        counts.append(samples.of)
+    assert counts == [4, 64]
+    settings = PathTracing(samples=4, verify_samples=4)
+    for tolerance in (0.001, 0.002):
+        assert build(scene, name, tolerance=tolerance, settings=settings).plan.tolerance == tolerance
+
+
 def test_a_convex_object_alone_has_no_bounces(name: str) -> None:
     cube = primitive("cube")
     alone, floor = shapes.scene(SIZE), shapes.scene(SIZE).model_copy(update={"floor": Floor(height=-0.5)})

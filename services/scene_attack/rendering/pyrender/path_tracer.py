@@ -162,7 +162,8 @@ class PathTracer(SceneRenderer):
     @property
     def plan(self) -> Plan:
         """The plan, compiled when first asked for: to state errors, it draws the scene with less samples."""
-        return self.scene.once(("path tracing", self.backend, self._attacked), self._compiled_plan)
+        what = "path tracing", self.backend, self._attacked, self._tolerance, self._settings
+        return self.scene.once(what, self._compiled_plan)
 
     def _compiled_plan(self) -> Plan:
         exact, settings = self._twin, self._settings
