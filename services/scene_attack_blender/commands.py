@@ -14,7 +14,7 @@ from scene_attack.cli.console import err, print_json, remark
 from scene_attack.scenes.bundle import CONVERTED_KINDS
 
 SUFFIXES = tuple(f".{kind}" for kind in CONVERTED_KINDS)
-UNRESOLVED = re.compile(r"Could not open asset @([^@\n]*)@")
+UNRESOLVED = re.compile(r"Could not (?:open asset|load sublayer) @([^@\n]*)@")
 """What USD prints of a layer that another one refers to."""
 
 
@@ -41,6 +41,8 @@ def convert(
         raise InvalidRequest("FILE", f"there is no file {file}")
     if out.suffix.lower() != ".glb":
         raise InvalidRequest("OUT", f"{out.name} does not end in .glb, and a GLB file is what is written")
+    if out.is_dir():
+        raise InvalidRequest("OUT", f"{out} is a folder")
     if not out.parent.is_dir():
         raise InvalidRequest("OUT", f"there is no folder {out.parent}; make it first")
     check_installed("FILE", "the conversion")

@@ -8,7 +8,7 @@ is answered by {"bytes": 0}, an error by {"error": sentence, "memory": whether m
 process ends. Empty lines before an answer say that Blender is at work.
 
 Of Blender's add-ons Cycles alone is enabled, nothing is read from a user's or a site's folders, and no script is run.
-This file and `conversion.py` are the only ones that import bpy, Blender as a Python module, whose licence is the GPL.
+Only this file and `scene_to_gltf.py` import bpy, Blender as a Python module, whose licence is the GPL.
 """
 
 import json

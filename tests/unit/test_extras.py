@@ -25,7 +25,7 @@ LAZY = {
     "services/scene_attack_service/jobs/answer_limit.py": "postgresql",
 }
 """Modules that are imported only inside a block of `extra`, and so may begin with the imports of one."""
-ELSEWHERE = {"stock", "cycles.py", "conversion.py"}
+ELSEWHERE = {"stock", "cycles.py", "scene_to_gltf.py"}
 """Files and folders of programs that run elsewhere, the latter in Blender's process (`scene_attack_blender.plugin`)."""
 BROUGHT = {
     "OpenEXR": "Imath",

@@ -19,7 +19,8 @@ bpy.context.object.name = "Floor"
 new.primitive_monkey_add(location=(0.3, -0.4, 1.2), rotation=(0.1, 0.2, 0.7))
 monkey = bpy.context.object
 monkey.name, monkey.scale = "Monkey", (0.5, 0.7, 0.6)
-monkey.modifiers.new("finer", "SUBSURF").levels = 1
+finer = monkey.modifiers.new("finer", "SUBSURF")
+finer.levels = finer.render_levels = 2  # as Blender reads it from USD
 new.primitive_uv_sphere_add(radius=0.25, location=(0.0, 0.0, 1.0))
 ball = bpy.context.object
 ball.name, ball.parent = "Ball", monkey

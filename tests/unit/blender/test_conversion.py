@@ -4,11 +4,13 @@ import json
 import re
 import subprocess
 import sys
-from math import atan, pi
+from collections import Counter
+from math import atan, pi, sqrt
 from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 from scene_attack.cli.specs import local_library
 from scene_attack.client.meshes import bundle_at
@@ -86,6 +88,17 @@ glossy.node_tree.links.new(shader.outputs[0], nodes.new("ShaderNodeOutputMateria
 cube.data.materials.append(glossy)
 """
 WORLD = "scene.world = data.worlds.new('Sky')\n"
+CHEQUERED = """
+chequered = data.materials.new("chequered")
+nodes = chequered.node_tree.nodes
+pattern = nodes.new("ShaderNodeTexChecker")
+chequered.node_tree.links.new(pattern.outputs["Color"], nodes["Principled BSDF"].inputs["Base Color"])
+cube.data.materials.append(chequered)
+"""
+CAMERA = """
+camera = data.objects.new("Camera", data.cameras.new("Camera"))
+scene.collection.objects.link(camera)
+"""
 INCHES = "scene.unit_settings.scale_length = 0.0254\n"
 PICTURE = """
 picture = data.images.new("wood", 8, 8)
@@ -120,10 +133,13 @@ driven.type, driven.expression = "SCRIPTED", "open({path!r}, 'w').write('a drive
         (AREA, "the area light Key: glTF has point, directional and spot lights"),
         (GLOSSY, "the surface of the material glossy: it is no Principled BSDF"),
         (WORLD, "the light of the world Sky"),
+        (CHEQUERED, "the colour of the material chequered: glTF has colours and pictures, and no patterns"),
+        (CAMERA + "camera.data.type = 'ORTHO'\n", "the camera Camera: it is not a perspective one"),
+        (CAMERA + "camera.data.shift_x = 0.1\n", "the shift of the camera Camera"),
         (INCHES, "its unit: one is 0.0254 m in the file, and one metre in what is written"),
         ("", ""),
     ],
-    ids=["area light", "material", "world", "unit", "nothing"],
+    ids=["area light", "material", "world", "pattern", "orthographic", "shift", "unit", "nothing"],
 )
 def test_what_gltf_cannot_say_is_said(tmp_path: Path, scene: str, said: str) -> None:
     file, out = written(tmp_path, SOLID + scene), tmp_path / "room.glb"
@@ -132,6 +148,221 @@ def test_what_gltf_cannot_say_is_said(tmp_path: Path, scene: str, said: str) -> 
     assert re.findall("not converted: (.*)", done.stderr) == ([said] if said else [])
     as_json = json.loads(cli("convert", str(file), str(out), "--json").stdout)
     assert as_json == {"file": str(out), "missing": [said] if said else []}
+
+
+AS_RENDERED = """
+def cube(name, x):
+    new.primitive_cube_add(location=(x, 0, 0))
+    bpy.context.object.name = name
+    return bpy.context.object
+finer = cube("Finer", 0).modifiers.new("finer", "SUBSURF")
+finer.subdivision_type, finer.levels, finer.render_levels = "SIMPLE", 0, 2
+twice = cube("Twice", 10).modifiers.new("twice", "ARRAY")
+twice.show_viewport = False
+cube("Hidden in the viewport", 20).hide_viewport = True
+cube("Hidden in renders", 30).hide_render = True
+excluded = data.collections.new("excluded")
+scene.collection.children.link(excluded)
+scene.collection.objects.unlink(left := cube("Excluded", 40))
+excluded.objects.link(left)
+bpy.context.view_layer.layer_collection.children["excluded"].exclude = True
+keyed = cube("Keyed", 50)
+keyed.shape_key_add()
+key = keyed.shape_key_add()
+for point in key.data:
+    point.co.z += 4
+key.value = 0.5
+mirrored = cube("Mirrored", 60)
+mirrored.scale.x = -1
+tilted = cube("Tilted", 70)
+tilted.rotation_euler.z, tilted.parent = math.pi / 4, data.objects.new("Stretched", None)
+tilted.parent.scale.x = 3
+scene.collection.objects.link(tilted.parent)
+"""
+"""Cubes of side 2; beside each what a picture of it shows."""
+INSTANCES = """
+bpy.ops.object.text_add(location=(-10, 0, 0))
+bpy.ops.object.metaball_add(location=(-20, 0, 0))
+new.primitive_plane_add(size=4, location=(0, 20, 0))
+plane = bpy.context.object
+new.primitive_cube_add(size=0.2)
+bpy.context.object.name, bpy.context.object.parent, plane.instance_type = "Copied", plane, "VERTS"
+group = data.collections.new("group")
+thing, lamp = data.objects.new("Thing", cube.data), data.objects.new("Lamp", data.lights.new("Lamp", "POINT"))
+group.objects.link(thing)
+group.objects.link(lamp)
+for k in range(2):
+    place = data.objects.new("Place", None)
+    place.instance_type, place.instance_collection, place.location = "COLLECTION", group, (10 + 10 * k, 0, 0)
+    scene.collection.objects.link(place)
+"""
+
+
+def test_a_scene_is_as_blender_renders_it(tmp_path: Path) -> None:
+    assert converted(written(tmp_path, AS_RENDERED), tmp_path / "room.glb").returncode == 0
+    nodes = {node.name: node for node in read(tmp_path / "room.glb").nodes}
+    expected = {
+        "Finer": (192, (0, 0, 0), (2, 2, 2)),
+        "Twice": (24, (11, 0, 0), (4, 2, 2)),
+        "Hidden in the viewport": (12, (20, 0, 0), (2, 2, 2)),
+        "Keyed": (12, (50, 2, 0), (2, 2, 2)),
+        "Mirrored": (12, (60, 0, 0), (2, 2, 2)),
+        "Tilted": (12, (210, 0, 0), (6 * sqrt(2), 2, 2 * sqrt(2))),
+        "Stretched": (0, (210, 0, 0), (6 * sqrt(2), 2, 2 * sqrt(2))),
+    }
+    assert nodes.keys() == expected.keys()
+    for name, (triangles, centre, size) in expected.items():
+        extent = nodes[name].extent
+        assert extent is not None
+        assert nodes[name].triangles == triangles, name
+        assert extent.centre == pytest.approx(centre, abs=1e-4), name
+        assert extent.size == pytest.approx(size, abs=1e-4), name
+    cubes = trimesh.load_scene(tmp_path / "room.glb").geometry.values()
+    assert sorted(round(cube.volume) for cube in cubes) == [8, 8, 8, 8, 16, 24]  # seen from outside, anticlockwise
+
+
+def test_what_is_drawn_several_times_is_there_as_often(tmp_path: Path) -> None:
+    assert converted(written(tmp_path, SOLID + INSTANCES), tmp_path / "room.glb").returncode == 0
+    scene = read(tmp_path / "room.glb")
+    nodes = scene.nodes
+    above = {node.name: None if node.parent is None else nodes[node.parent].name for node in nodes if node.triangles}
+    copies = {f"Copied{number}": "Plane" for number in ("", ".001", ".002", ".003")}
+    things = {"Thing": "Place", "Thing.001": "Place.001"}
+    assert above == dict.fromkeys(("Cube", "Text", "Mball", "Plane")) | copies | things
+    places = {node.name: node.extent.centre for node in nodes if node.extent is not None}
+    assert places["Thing"] == pytest.approx((10, 0, 0), abs=1e-5)
+    assert places["Thing.001"] == pytest.approx((20, 0, 0), abs=1e-5)
+    corners = sorted((round(x), round(z)) for x, _, z in (places[name] for name in copies))
+    assert corners == [(-2, -22), (-2, -18), (2, -22), (2, -18)]
+    assert sorted(light.position[0] for light in scene.lights) == pytest.approx([10, 20])
+
+
+HIDDEN = """
+def cube(name, x):
+    new.primitive_cube_add(size=1, location=(x, 0, 0.5))
+    bpy.context.object.name = name
+    return bpy.context.object
+def into(collection, thing):
+    for one in thing.users_collection:
+        one.objects.unlink(thing)
+    collection.objects.link(thing)
+def collection(name, under=scene.collection):
+    made = data.collections.new(name)
+    under.children.link(made)
+    return made
+layers = bpy.context.view_layer.layer_collection.children
+cube("Screen", 1).hide_viewport = True
+cube("Eye", 2).hide_set(True)
+into(collection("Off"), cube("ScreenOfCollection", 3))
+data.collections["Off"].hide_viewport = True
+outer = collection("Outer")
+outer.hide_render = True
+into(collection("Inner", outer), cube("NotRenderedBelow", 4))
+cube("NotRendered", 5).hide_render = True
+cube("NotSeen", 6).visible_camera = False
+library = collection("Library")
+into(library, cube("Part", 0))
+unrendered = cube("UnrenderedPart", 0)
+into(library, unrendered)
+unrendered.hide_render = True
+layers["Library"].exclude = True
+stand = data.objects.new("Stand", None)
+stand.instance_type, stand.instance_collection, stand.location = "COLLECTION", library, (7, 0, 0)
+scene.collection.objects.link(stand)
+"""
+
+
+def test_what_blender_renders_is_there_and_nothing_else(tmp_path: Path) -> None:
+    """Also what viewports hide, in its place, and what stands in a collection that only an instance shows."""
+    done = converted(written(tmp_path, HIDDEN), tmp_path / "room.glb")
+    assert done.returncode == 0, done.stderr
+    places = {
+        node.name: node.extent.centre[0] for node in read(tmp_path / "room.glb").nodes if node.triangles and node.extent
+    }
+    assert places == pytest.approx({"Screen": 1, "Eye": 2, "ScreenOfCollection": 3, "Part": 7}, abs=1e-4)
+
+
+MANY = """
+bpy.ops.object.text_add()
+bpy.context.object.name, bpy.context.object.data.body = "Text", "A"
+bpy.ops.curve.primitive_bezier_circle_add()
+bpy.context.object.name, bpy.context.object.data.bevel_depth = "Ring", 0.1
+bpy.ops.object.metaball_add(type="BALL")
+new.primitive_plane_add(size=4)
+grid = bpy.context.object
+grid.name, grid.instance_type = "Grid", "VERTS"
+new.primitive_cube_add(size=0.3)
+bpy.context.object.name, bpy.context.object.parent = "Bead", grid
+new.primitive_plane_add(size=1)
+scattered = bpy.context.object
+scattered.name = "Scattered"
+group = data.node_groups.new("scatter", "GeometryNodeTree")
+for side in ("INPUT", "OUTPUT"):
+    group.interface.new_socket("Geometry", in_out=side, socket_type="NodeSocketGeometry")
+start, end = group.nodes.new("NodeGroupInput"), group.nodes.new("NodeGroupOutput")
+cube, instances = group.nodes.new("GeometryNodeMeshCube"), group.nodes.new("GeometryNodeInstanceOnPoints")
+group.links.new(start.outputs[0], instances.inputs["Points"])
+group.links.new(cube.outputs[0], instances.inputs["Instance"])
+group.links.new(instances.outputs[0], end.inputs[0])
+scattered.modifiers.new("scatter", "NODES").node_group = group
+"""
+
+
+def test_each_thing_is_there_once(tmp_path: Path) -> None:
+    done = converted(written(tmp_path, MANY), tmp_path / "room.glb")
+    assert done.returncode == 0, done.stderr
+    nodes = read(tmp_path / "room.glb").nodes
+    of = Counter(nodes[node.parent].name if node.parent is not None else node.name for node in nodes if node.triangles)
+    assert of == {"Text": 1, "Ring": 1, "Mball": 1, "Grid": 1 + 4, "Scattered": 4}
+
+
+def test_a_material_of_the_object_takes_the_place_of_the_meshs(tmp_path: Path) -> None:
+    materials = """
+for name, color in (("Of the mesh", (1, 0, 0, 1)), ("Of the object", (0, 0, 1, 1))):
+    made = data.materials.new(name)
+    made.node_tree.nodes["Principled BSDF"].inputs["Base Color"].default_value = color
+cube.data.materials.append(data.materials["Of the mesh"])
+cube.material_slots[0].link, cube.material_slots[0].material = "OBJECT", data.materials["Of the object"]
+"""
+    assert converted(written(tmp_path, SOLID + materials), tmp_path / "room.glb").returncode == 0
+    [mesh] = trimesh.load_scene(tmp_path / "room.glb").geometry.values()
+    assert mesh.visual.material.name == "Of the object"
+
+
+def test_the_active_camera_is_the_first(tmp_path: Path) -> None:
+    """Also one that hangs on something, and is in a collection."""
+    cameras = """
+for name in ("First", "Active"):
+    scene.collection.objects.link(data.objects.new(name, data.cameras.new(name)))
+scene.camera = data.objects["Active"]
+shelf = data.collections.new("Shelf")
+scene.collection.children.link(shelf)
+arm = data.objects.new("Arm", None)
+for thing in (arm, scene.camera):
+    shelf.objects.link(thing)
+scene.collection.objects.unlink(scene.camera)
+scene.camera.parent = arm
+"""
+    done = converted(written(tmp_path, SOLID + cameras), tmp_path / "room.glb")
+    assert done.returncode == 0, done.stderr
+    assert [camera.name for camera in read(tmp_path / "room.glb").cameras] == ["Active", "First"]
+
+
+def test_the_nodes_of_lights_count_as_far_as_they_are_a_strength(tmp_path: Path) -> None:
+    lamps = """
+for kind in ("POINT", "SUN", "SPOT"):
+    light = data.lights.new(kind, kind)
+    light.energy, light.use_nodes = 10.0, True
+    light.node_tree.nodes["Emission"].inputs["Strength"].default_value = 3.0
+    scene.collection.objects.link(data.objects.new(kind, light))
+tree = data.lights["SPOT"].node_tree
+tree.links.new(tree.nodes.new("ShaderNodeLightFalloff").outputs[0], tree.nodes["Emission"].inputs["Strength"])
+"""
+    done = converted(written(tmp_path, SOLID + lamps), tmp_path / "room.glb")
+    assert re.findall("not converted: (.*)", done.stderr) == ["the nodes of the light SPOT"]
+    lights = {light.kind: light.intensity / LUMENS for light in read(tmp_path / "room.glb").lights}
+    expected = {"point": 30 / (4 * pi), "directional": 30, "spot": 10 / (4 * pi)}
+    assert lights == pytest.approx(expected, rel=1e-3)
 
 
 def test_lights_that_blenders_exporter_fails_at_are_converted(tmp_path: Path) -> None:
@@ -231,7 +462,7 @@ def test_a_file_that_is_none_is_one_sentence(tmp_path: Path) -> None:
         ("text.blend", b"hello", "Blender cannot read text.blend: "),
         ("text.usda", b"hello", "Blender cannot read text.usda: "),
         ("cut.usdz", b"PK\x03\x04", "Blender cannot read cut.usdz: "),
-        ("empty.usda", b"#usda 1.0\n", "Blender cannot read empty.usda: it holds no mesh"),
+        ("empty.usda", b"#usda 1.0\n", "Blender cannot read empty.usda: it holds no mesh that Blender would render"),
         ("room.fbx", b"", "room.fbx ends in none of .blend, .usd, .usda, .usdc, .usdz"),
     ):
         (tmp_path / name).write_bytes(content)
