@@ -132,7 +132,6 @@ class Stage:
             scale.default_value, offset.default_value = values[7:]
         self._scene.cycles.samples, self._scene.cycles.seed = frame["samples"], frame["seed"]
         self._scene.update_tag()  # else data that is kept between frames keeps the seed, too
-        self._file.unlink(missing_ok=True)  # the frame before
         bpy.ops.render.render(write_still=True)
         if not self._file.exists():
             raise RuntimeError("the image was not written")
@@ -143,6 +142,7 @@ class Stage:
             self._image.reload()
         pixels = array("f", bytes(4 * 4 * self._size[0] * self._size[1]))
         self._image.pixels.foreach_get(pixels)
+        self._file.unlink()  # its folder is left where this process is killed, and the next frame is another one
         return pixels
 
     def _set_up(self, described: dict[str, Any]) -> None:

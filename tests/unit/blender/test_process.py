@@ -3,7 +3,9 @@
 import os
 import signal
 import sys
+import tempfile
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -85,6 +87,16 @@ def test_a_killed_blender_is_started_again_with_the_same_result(process: Blender
     os.kill(first, signal.SIGKILL)
     assert torch.equal(own.render(values), before)
     assert process.pid != first
+
+
+def test_no_image_is_left_on_the_disk(process: BlenderProcess, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Whoever kills the job's process ends Blender, too, and nobody empties its folder."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    process.close()
+    own = renderer()
+    own.render(places(own, 2))
+    assert list(tmp_path.glob("*/errors"))
+    assert not list(tmp_path.rglob("*.exr"))
 
 
 def test_a_blender_that_hangs_is_ended_and_started_again(
