@@ -123,6 +123,43 @@ def test_both_sets_of_texture_coordinates_run_upwards() -> None:
     assert material(part).maps["emissive"].uv_set == 1
 
 
+def transformed(**maps: dict[str, Any]) -> Callable[[Writer], None]:
+    """A material with a texture for each name, which KHR_texture_transform moves."""
+
+    def edit(writer: Writer) -> None:
+        required("KHR_texture_transform")(writer)
+        infos = {
+            name: writer.texture(checks((0, 0, 0), (9, 9, 9))) | {"extensions": {"KHR_texture_transform": transform}}
+            for name, transform in maps.items()
+        }
+        primitive(writer)["material"] = writer.add("materials", infos)
+
+    return edit
+
+
+CORNERS = np.array([[0, 0], [1, 0], [0.5, 0.25]])
+
+
+def test_a_texture_is_scaled_then_turned_then_moved() -> None:
+    """By a quarter turn u becomes -v, and v becomes u, with v downwards: what Blender writes for its own mapping."""
+    moves = transformed(emissiveTexture={"offset": [0.25, 0.5], "rotation": np.pi / 2, "scale": [2, 3]})
+    (part,) = read(one(edit=moves, TEXCOORD_0=CORNERS, NORMAL=np.ones((3, 3))))
+    assert part.uv is not None
+    u, v = 2 * CORNERS[:, 0], 3 * CORNERS[:, 1]
+    assert part.uv == pytest.approx(np.stack([0.25 + v, 1 - (0.5 - u)], axis=1))
+    assert material(part).maps["emissive"].uv_set == 0
+
+
+def test_maps_may_have_two_places() -> None:
+    """The transform names the set, and one map is where the other was without it."""
+    moves = transformed(emissiveTexture={"scale": [2, 2], "texCoord": 1}, occlusionTexture={})
+    (part,) = read(one(edit=moves, TEXCOORD_0=CORNERS, TEXCOORD_1=CORNERS + 1, NORMAL=np.ones((3, 3))))
+    sets = (part.uv, material(part).second_uv)
+    places = {"emissive": 2 * (CORNERS + 1), "occlusion": CORNERS}
+    for name, texture in material(part).maps.items():
+        assert sets[texture.uv_set] == pytest.approx(np.stack([places[name][:, 0], 1 - places[name][:, 1]], axis=1))
+
+
 @pytest.mark.parametrize(("kind", "scale"), [(5121, 255), (5123, 65535)])
 def test_colours_stored_as_integers_are_shares(kind: int, scale: int) -> None:
     def integers(writer: Writer) -> None:
@@ -234,6 +271,17 @@ BAD: dict[str, tuple[Writer, str]] = {
     "emission beyond 1": (one({"emissiveFactor": [0, 3, 0]}), "materials[0].emissiveFactor is 3"),
     "a word": (one({"alphaCutoff": "half"}), "materials[0].alphaCutoff is 'half'"),
     "three for four": (one({"pbrMetallicRoughness": {"baseColorFactor": [1, 1, 1]}}), "not a list of 4 numbers"),
+    "three places of maps": (
+        one(
+            edit=transformed(emissiveTexture={}, occlusionTexture={"scale": [2, 2]}, normalTexture={"rotation": 1}),
+            TEXCOORD_0=[[0, 0]] * 3,
+        ),
+        "materials[0] has maps at 3 different places",
+    ),
+    "a scale of a texture": (
+        one(edit=transformed(emissiveTexture={"scale": [2]}), TEXCOORD_0=[[0, 0]] * 3),
+        "materials[0].emissiveTexture.extensions.KHR_texture_transform.scale is not a list of 2 numbers",
+    ),
     "alpha mode": (one({"alphaMode": "GLASS"}), "materials[0].alphaMode is 'GLASS'"),
     "double-sided": (one({"doubleSided": 1}), "materials[0].doubleSided is 1"),
     "no such material": (one(edit=lambda w: w.tree["meshes"][0]["primitives"][0].update(material=7)), "materials[7]"),

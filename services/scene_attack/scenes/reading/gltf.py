@@ -8,10 +8,10 @@ metallic-roughness. Khronos, glTF 2.0 specification, 3.5 to 3.9.
 
 import base64
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, fields
-from math import inf, isfinite
+from dataclasses import dataclass, fields, replace
+from math import cos, inf, isfinite, sin
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -39,7 +39,8 @@ from scene_attack.scenes.reading.normals import derive_tangents
 from scene_attack.scenes.reading.surfaces import MAX_COORDINATE, Textures, rounding_note
 from scene_attack.strict import NotJson, read_json
 
-READ_EXTENSIONS = ("KHR_mesh_quantization", "EXT_texture_webp")
+TRANSFORM = "KHR_texture_transform"
+READ_EXTENSIONS = ("KHR_mesh_quantization", "EXT_texture_webp", TRANSFORM)
 """glTF extensions that are supported in a mesh."""
 LIGHTS = "KHR_lights_punctual"
 """The extension with a scene's lights. A file may require it, as those of Blender do; a mesh has no use for it."""
@@ -283,11 +284,23 @@ _WRAPS = (10497, 33071, 33648)
 _MODES: tuple[AlphaMode, ...] = ("OPAQUE", "MASK", "BLEND")
 
 
+class _Coordinates(NamedTuple):
+    """Texture coordinates: a set of the file, and what moves them: two rows of a linear part and an offset."""
+
+    uv_set: int
+    moved: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0)
+
+
+_AS_STORED = (_Coordinates(0), _Coordinates(1))
+
+
 @dataclass(frozen=True, eq=False)
 class Material(MaterialSettings):
-    """A material of a glTF file, with glTF's defaults. color: float32 [4], the base colour factor, linear RGBA."""
+    """A material of a glTF file, with glTF's defaults. color: float32 [4], the base colour factor, linear RGBA.
+    coordinates: the two sets of texture coordinates that `maps` name."""
 
     color: Floats
+    coordinates: tuple[_Coordinates, _Coordinates]
 
 
 def read_material(file: GltfFile, index: Any, textures: Textures) -> Material:
@@ -313,6 +326,7 @@ def read_material(file: GltfFile, index: Any, textures: Textures) -> Material:
         color[3] = 1.0
     red, green, blue = numbers(entry, "emissiveFactor", (0.0, 0.0, 0.0), 0, 1, where)
     maps: dict[MapName, TextureMap] = {}
+    wanted: dict[MapName, _Coordinates] = {}
     places: tuple[tuple[MapName, dict[str, Any], str], ...] = (
         ("base_color", surface, "baseColorTexture"),
         ("metallic_roughness", surface, "metallicRoughnessTexture"),
@@ -323,9 +337,17 @@ def read_material(file: GltfFile, index: Any, textures: Textures) -> Material:
     for name, owner, key in places:
         if key in owner:
             with suppress(MissingFile):  # it is drawn without, and the upload's answer says so
-                maps[name] = _map(file, owner[key], textures, f"{inner if owner is surface else where}.{key}")
+                place = f"{inner if owner is surface else where}.{key}"
+                maps[name], wanted[name] = _map(file, owner[key], textures, place)
+    coordinates = list(_AS_STORED)
+    if not set(wanted.values()) <= set(_AS_STORED):
+        coordinates = list(dict.fromkeys(wanted.values()))
+    if len(coordinates) > 2:
+        raise Unreadable(f"{where} has maps at {len(coordinates)} different places ({TRANSFORM}); two are read")
+    maps = {name: replace(one, uv_set=coordinates.index(wanted[name])) for name, one in maps.items()}
     return Material(
         color=color,
+        coordinates=(coordinates[0], coordinates[-1]),
         metallic=number(surface, "metallicFactor", 1.0, 0, 1, inner),
         roughness=number(surface, "roughnessFactor", 1.0, 0, 1, inner),
         emissive=(float(red), float(green), float(blue)),
@@ -340,10 +362,15 @@ def read_material(file: GltfFile, index: Any, textures: Textures) -> Material:
     )
 
 
-def _map(file: GltfFile, info: Any, textures: Textures, where: str) -> TextureMap:
+def _map(file: GltfFile, info: Any, textures: Textures, where: str) -> tuple[TextureMap, _Coordinates]:
     if not isinstance(info, dict):
         raise Unreadable(f"{where} is not an object")
     uv_set = info.get("texCoord", 0)
+    moved = _Coordinates(0).moved
+    extensions = info.get("extensions", {})
+    if isinstance(extensions, dict) and TRANSFORM in extensions:
+        moved = _moved(transform := extensions[TRANSFORM], f"{where}.extensions.{TRANSFORM}")
+        uv_set = transform.get("texCoord", uv_set)
     if uv_set not in (0, 1):
         raise Unreadable(f"{where}.texCoord is {uv_set!r}; TEXCOORD_0 and TEXCOORD_1 are read")
     texture = file.item("textures", info.get("index"))
@@ -359,7 +386,18 @@ def _map(file: GltfFile, info: Any, textures: Textures, where: str) -> TextureMa
         texels = textures.read(file.image(source))
     except (OSError, SyntaxError) as error:  # its header is intact, its data is not
         raise Unreadable(f"{where}: images[{source}] is not a readable {FORMATS} image") from error
-    return TextureMap(texels, uv_set, wrap)
+    return TextureMap(texels, uv_set, wrap), _Coordinates(uv_set, moved)
+
+
+def _moved(transform: Any, where: str) -> tuple[float, ...]:
+    """Returns what KHR_texture_transform does to coordinates (v downwards): scaled, turned, and moved."""
+    angle = number(transform, "rotation", 0.0, -1e3, 1e3, where)
+    (across, down), (x, y) = (
+        numbers(transform, name, default, -1e6, 1e6, where)
+        for name, default in (("scale", (1.0, 1.0)), ("offset", (0.0, 0.0)))
+    )
+    turned = (cos(angle) * across, sin(angle) * down, x, -sin(angle) * across, cos(angle) * down, y)
+    return tuple(float(value) for value in turned)
 
 
 _MAX_NODES = 10_000
@@ -532,6 +570,15 @@ class _Primitive:
         faces = self.faces[:, [0, 2, 1]] if mirrored else self.faces
         return _Primitive(self.vertices @ linear.T + transform[:3, 3], faces, attributes, self.material)
 
+    def textured(self, coordinates: Sequence[_Coordinates]) -> "_Primitive":
+        """Returns a copy with these texture coordinates in place of its own."""
+        attributes = {name: values for name, values in self.attributes.items() if not name.startswith("TEXCOORD_")}
+        for k, (uv_set, moved) in enumerate(coordinates):
+            if f"TEXCOORD_{uv_set}" in self.attributes:
+                linear = np.reshape(moved, (2, 3))
+                attributes[f"TEXCOORD_{k}"] = self.attributes[f"TEXCOORD_{uv_set}"] @ linear[:, :2].T + linear[:, 2]
+        return _Primitive(self.vertices, self.faces, attributes, self.material)
+
     def taken(self, index: Longs, faces: Longs) -> "_Primitive":
         """Returns the vertices `index`, in this order, with the given faces."""
         attributes = {name: values[index] for name, values in self.attributes.items()}
@@ -682,10 +729,11 @@ def _part(primitive: _Primitive, material: Material) -> Part:
         primitive = primitive.taken(primitive.faces.ravel(), np.arange(primitive.faces.size).reshape(-1, 3))
     normals = _normals(primitive)
     for name, texture in material.maps.items():
-        if f"TEXCOORD_{texture.uv_set}" not in attributes:
-            raise Unreadable(
-                f"the {name.replace('_', ' ')} texture wants TEXCOORD_{texture.uv_set}, which is not there"
-            )
+        uv_set = material.coordinates[texture.uv_set].uv_set
+        if f"TEXCOORD_{uv_set}" not in attributes:
+            raise Unreadable(f"the {name.replace('_', ' ')} texture wants TEXCOORD_{uv_set}, which is not there")
+    if material.coordinates != _AS_STORED:
+        primitive = primitive.textured(material.coordinates)
     tangents = np.zeros((len(normals), 4))
     if "normal" in material.maps:
         if "TANGENT" in attributes and not flat:
