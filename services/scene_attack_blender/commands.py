@@ -59,7 +59,10 @@ def convert(
             check=False,
         )
         if run.returncode != 0:
-            raise ended(run.returncode, run.stderr)
+            failure = ended(run.returncode, run.stderr)
+            if failure.kind != "internal":
+                raise failure
+            raise InvalidRequest("FILE", f"{failure.detail}, while it read {file.name}")
         notes = json.loads(Path(folder, "notes.json").read_bytes())
         if notes["unconfined"] is not None:
             remark(f"nothing kept Blender from files outside the folder of {file.name}: {notes['unconfined']}")

@@ -162,6 +162,8 @@ def _found(graph: Any) -> Iterator[_Found]:
             for number, slot in enumerate(thing.material_slots):
                 if slot.link == "OBJECT" and number < len(data.materials):
                     data.materials[number] = None if slot.material is None else slot.material.original
+            if not data.polygons:
+                continue
         else:
             data = thing.original.data.copy()
         yield _Found(name, thing.type, data, instance.matrix_world.copy(), tuple(above))
@@ -210,17 +212,15 @@ def _of_things(plain: Plain) -> Iterator[str]:
             yield f"the shift of the camera {camera.name}"
     used = {slot.material for thing in plain.meshes for slot in thing.material_slots if slot.material is not None}
     for material in sorted(used, key=lambda one: one.name):
-        nodes = [] if material.node_tree is None else material.node_tree.nodes
-        if not any(node.type == "BSDF_PRINCIPLED" for node in nodes):
+        output = None if material.node_tree is None else material.node_tree.get_output_node("CYCLES")
+        links = () if output is None else output.inputs["Surface"].links
+        surface = links[0].from_node if links else None
+        if surface is None or surface.type != "BSDF_PRINCIPLED":
             yield f"the surface of the material {material.name}: it is no Principled BSDF"
-        elif any(_is_computed(node) for node in nodes):
+        elif any(node.type == "TEX_IMAGE" and node.image is None for node in material.node_tree.nodes):
+            yield f"an image of the material {material.name}: it is not there, or outside the folder of the file"
+        elif any(link.from_node.type not in FOLLOWED for link in surface.inputs["Base Color"].links):
             yield f"the colour of the material {material.name}: glTF has colours and pictures, and no patterns"
-
-
-def _is_computed(surface: Any) -> bool:
-    """Whether a node is a surface whose colour comes from nodes that the exporter does not follow."""
-    colour = surface.inputs["Base Color"] if surface.type == "BSDF_PRINCIPLED" else None
-    return colour is not None and any(link.from_node.type not in FOLLOWED for link in colour.links)
 
 
 def _prepared(lamp: Any) -> Iterator[str]:

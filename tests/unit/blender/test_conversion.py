@@ -79,6 +79,14 @@ AREA = """
 lamp = data.objects.new("Key", data.lights.new("Key", "AREA"))
 scene.collection.objects.link(lamp)
 """
+MIXED = """
+mixed = data.materials.new("mixed")
+tree = mixed.node_tree
+mix, output = tree.nodes.new("ShaderNodeMixShader"), tree.nodes["Material Output"]
+tree.links.new(tree.nodes["Principled BSDF"].outputs[0], mix.inputs[1])
+tree.links.new(mix.outputs[0], output.inputs[0])
+cube.data.materials.append(mixed)
+"""
 GLOSSY = """
 glossy = data.materials.new("glossy")
 nodes = glossy.node_tree.nodes
@@ -132,6 +140,7 @@ driven.type, driven.expression = "SCRIPTED", "open({path!r}, 'w').write('a drive
     [
         (AREA, "the area light Key: glTF has point, directional and spot lights"),
         (GLOSSY, "the surface of the material glossy: it is no Principled BSDF"),
+        (MIXED, "the surface of the material mixed: it is no Principled BSDF"),
         (WORLD, "the light of the world Sky"),
         (CHEQUERED, "the colour of the material chequered: glTF has colours and pictures, and no patterns"),
         (CAMERA + "camera.data.type = 'ORTHO'\n", "the camera Camera: it is not a perspective one"),
@@ -139,7 +148,7 @@ driven.type, driven.expression = "SCRIPTED", "open({path!r}, 'w').write('a drive
         (INCHES, "its unit: one is 0.0254 m in the file, and one metre in what is written"),
         ("", ""),
     ],
-    ids=["area light", "material", "world", "pattern", "orthographic", "shift", "unit", "nothing"],
+    ids=["area light", "material", "mixed", "world", "pattern", "orthographic", "shift", "unit", "nothing"],
 )
 def test_what_gltf_cannot_say_is_said(tmp_path: Path, scene: str, said: str) -> None:
     file, out = written(tmp_path, SOLID + scene), tmp_path / "room.glb"
@@ -178,6 +187,11 @@ tilted = cube("Tilted", 70)
 tilted.rotation_euler.z, tilted.parent = math.pi / 4, data.objects.new("Stretched", None)
 tilted.parent.scale.x = 3
 scene.collection.objects.link(tilted.parent)
+bpy.ops.object.armature_add(location=(80, 0, 0))
+bones = bpy.context.object
+bones.pose.bones[0].location = (0, 5, 0)
+held = cube("Held", 0)
+held.parent, held.parent_type, held.parent_bone = bones, "BONE", bones.pose.bones[0].name
 """
 """Cubes of side 2; beside each what a picture of it shows."""
 INSTANCES = """
@@ -191,6 +205,7 @@ group = data.collections.new("group")
 thing, lamp = data.objects.new("Thing", cube.data), data.objects.new("Lamp", data.lights.new("Lamp", "POINT"))
 group.objects.link(thing)
 group.objects.link(lamp)
+group.objects.link(data.objects.new("Key", data.lights.new("Key", "AREA")))
 for k in range(2):
     place = data.objects.new("Place", None)
     place.instance_type, place.instance_collection, place.location = "COLLECTION", group, (10 + 10 * k, 0, 0)
@@ -208,9 +223,10 @@ def test_a_scene_is_as_blender_renders_it(tmp_path: Path) -> None:
         "Keyed": (12, (50, 2, 0), (2, 2, 2)),
         "Mirrored": (12, (60, 0, 0), (2, 2, 2)),
         "Tilted": (12, (210, 0, 0), (6 * sqrt(2), 2, 2 * sqrt(2))),
+        "Held": (12, (80, 6, 0), (2, 2, 2)),
         "Stretched": (0, (210, 0, 0), (6 * sqrt(2), 2, 2 * sqrt(2))),
     }
-    assert nodes.keys() == expected.keys()
+    assert nodes.keys() == expected.keys() | {"Armature"}
     for name, (triangles, centre, size) in expected.items():
         extent = nodes[name].extent
         assert extent is not None
@@ -218,11 +234,12 @@ def test_a_scene_is_as_blender_renders_it(tmp_path: Path) -> None:
         assert extent.centre == pytest.approx(centre, abs=1e-4), name
         assert extent.size == pytest.approx(size, abs=1e-4), name
     cubes = trimesh.load_scene(tmp_path / "room.glb").geometry.values()
-    assert sorted(round(cube.volume) for cube in cubes) == [8, 8, 8, 8, 16, 24]  # seen from outside, anticlockwise
+    assert sorted(round(cube.volume) for cube in cubes) == [8, 8, 8, 8, 8, 16, 24]  # seen from outside, anticlockwise
 
 
 def test_what_is_drawn_several_times_is_there_as_often(tmp_path: Path) -> None:
-    assert converted(written(tmp_path, SOLID + INSTANCES), tmp_path / "room.glb").returncode == 0
+    done = converted(written(tmp_path, SOLID + INSTANCES), tmp_path / "room.glb")
+    assert done.returncode == 0
     scene = read(tmp_path / "room.glb")
     nodes = scene.nodes
     above = {node.name: None if node.parent is None else nodes[node.parent].name for node in nodes if node.triangles}
@@ -235,6 +252,9 @@ def test_what_is_drawn_several_times_is_there_as_often(tmp_path: Path) -> None:
     corners = sorted((round(x), round(z)) for x, _, z in (places[name] for name in copies))
     assert corners == [(-2, -22), (-2, -18), (2, -22), (2, -18)]
     assert sorted(light.position[0] for light in scene.lights) == pytest.approx([10, 20])
+    assert re.findall("not converted: (.*)", done.stderr) == [
+        f"the area light {name}: glTF has point, directional and spot lights" for name in ("Key", "Key.001")
+    ]
 
 
 HIDDEN = """
@@ -416,6 +436,54 @@ def test_a_layer_elsewhere_is_missing_and_said(made: tuple[Path, dict[str, Box]]
     assert re.findall("not converted: (.*)", done.stderr) == [said]
 
 
+TEXTURED = """#usda 1.0
+(
+    subLayers = [@../other.usda@]
+)
+def Camera "flat"
+{
+    float verticalAperture = 1
+}
+def Mesh "triangle" (
+    prepend apiSchemas = ["MaterialBindingAPI"]
+)
+{
+    int[] faceVertexCounts = [3]
+    int[] faceVertexIndices = [0, 1, 2]
+    point3f[] points = [(0, 0, 0), (1, 0, 0), (0, 1, 0)]
+    rel material:binding = </wooden>
+}
+def Material "wooden"
+{
+    token outputs:surface.connect = </wooden/surface.outputs:surface>
+    def Shader "surface"
+    {
+        uniform token info:id = "UsdPreviewSurface"
+        color3f inputs:diffuseColor.connect = </wooden/picture.outputs:rgb>
+        token outputs:surface
+    }
+    def Shader "picture"
+    {
+        uniform token info:id = "UsdUVTexture"
+        asset inputs:file = @./wood.png@
+        float3 outputs:rgb
+    }
+}
+"""
+
+
+def test_what_a_usd_file_is_made_of_and_is_not_there_is_said(tmp_path: Path) -> None:
+    file = tmp_path / "mine" / "room.usda"
+    file.parent.mkdir()
+    file.write_text(TEXTURED)
+    done = converted(file, tmp_path / "room.glb")
+    assert done.returncode == 0, done.stderr
+    assert re.findall("not converted: (.*)", done.stderr) == [
+        f"the layer {tmp_path}/other.usda: it is not there, or outside the folder of the file",
+        "an image of the material wooden: it is not there, or outside the folder of the file",
+    ]
+
+
 def test_no_script_of_a_file_is_run(tmp_path: Path) -> None:
     left = tmp_path / "left"
     file = written(tmp_path, SOLID + RUNS.format(path=str(left)))
@@ -455,12 +523,23 @@ def test_every_thread_of_blender_is_confined(tmp_path: Path) -> None:
     assert all("NoNewPrivs:\t1\n" in state for state in states)
 
 
+NEGATIVE = b"""#usda 1.0
+def Mesh "mesh"
+{
+    int[] faceVertexCounts = [-3, 1000000]
+    int[] faceVertexIndices = [0, 1, 2]
+    point3f[] points = [(0, 0, 0), (1, 0, 0), (0, 1, 0)]
+}
+"""
+
+
 def test_a_file_that_is_none_is_one_sentence(tmp_path: Path) -> None:
     whole = written(tmp_path, SOLID).read_bytes()
     for name, content, why in (
         ("cut.blend", whole[: len(whole) // 2], "Blender cannot read cut.blend: "),
         ("text.blend", b"hello", "Blender cannot read text.blend: "),
         ("text.usda", b"hello", "Blender cannot read text.usda: "),
+        ("wrong.usda", NEGATIVE, "Blender was ended by the signal SIG[A-Z]*, while it read wrong.usda"),
         ("cut.usdz", b"PK\x03\x04", "Blender cannot read cut.usdz: "),
         ("empty.usda", b"#usda 1.0\n", "Blender cannot read empty.usda: it holds no mesh that Blender would render"),
         ("room.fbx", b"", "room.fbx ends in none of .blend, .usd, .usda, .usdc, .usdz"),
@@ -468,7 +547,7 @@ def test_a_file_that_is_none_is_one_sentence(tmp_path: Path) -> None:
         (tmp_path / name).write_bytes(content)
         done = converted(tmp_path / name, tmp_path / "out.glb")
         assert done.returncode == 2
-        assert done.stderr.startswith(f"scene-attack: bad input: FILE: {why}")
+        assert re.match(f"scene-attack: bad input: FILE: {why}", done.stderr)
         assert done.stderr.count("\n") == 1
         assert not (tmp_path / "out.glb").exists()
 
@@ -478,6 +557,7 @@ def test_a_file_that_is_none_is_one_sentence(tmp_path: Path) -> None:
     [
         ("none.blend", "out.glb", "FILE: there is no file none.blend"),
         ("room.blend", "out.gltf", "OUT: out.gltf does not end in .glb"),
+        ("room.blend", "folder.glb", "OUT: folder.glb is a folder"),
         ("room.blend", "no/out.glb", "OUT: there is no folder no"),
     ],
 )
@@ -486,6 +566,7 @@ def test_bad_arguments_are_named(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("room.blend").touch()
+    Path("folder.glb").mkdir()
     done = cli("convert", file, out)
     assert (done.returncode, done.stderr.startswith(f"scene-attack: bad input: {why}")) == (2, True)
 
