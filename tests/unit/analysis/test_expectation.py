@@ -4,10 +4,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from scene_attack.analysis.expectation import held_over
+from scene_attack.analysis.expectation import held_over, survival
+from scene_attack.analysis.records import SurvivalRequest
 from scene_attack.analysis.verdict import wilson
 from scene_attack.attacks.goal import ResolvedGoal
-from scene_attack.attacks.problem import draw_variation
+from scene_attack.attacks.problem import derived, draw_sensor, draw_variation
 from scene_attack.attacks.request import Expectation
 from scene_attack.attacks.run import Verifier
 from scene_attack.rendering.sensor.photograph import photographed
@@ -53,6 +54,29 @@ def test_only_variations_that_were_right_count(goal: ResolvedGoal, wanted: tuple
     assert found.wrong_interval == wilson(60 - right, 60)
     assert verifier.counts.queries == 60 + right
     assert found.views == []  # noise is seen from one view
+
+
+def test_each_camera_takes_both_images_with_the_same_noise_and_no_other_camera_has_it() -> None:
+    """The answers hang on the noise: the network looks for the brightness of single pixels."""
+    asked = SurvivalRequest.model_validate(NOISY.model_dump() | {"iso": 102_400, "draws": 40})
+    random = torch.Generator().manual_seed(0)
+    original = 0.3 + 0.4 * torch.rand(4, 5, 3, generator=random)
+    attacked = original + 0.02
+    middle = float(original.mean())
+    target = Brightness(middle, middle + 0.01)
+    right = fooled = 0
+    for number in range(40):
+        sensor, noise = draw_sensor(asked, 5, "survival", number), derived(5, "survival noise", number)
+        first, second = (
+            int(target.logits((photographed(image[None], sensor, noise) * 255).round() / 255).argmax())
+            for image in (original, attacked)
+        )
+        right += first == 0
+        fooled += first == 0 and second != 0
+    assert 0 < fooled < right < 40
+    verifier = Verifier(Pixels(dtype=torch.float32), target)
+    found = survival(verifier, ResolvedGoal((0,), None), (0,), original, attacked, asked, seed=5)
+    assert (found.variations, found.right, found.fooled) == (40, right, fooled)
 
 
 def test_a_scene_that_is_right_nowhere_has_no_share() -> None:

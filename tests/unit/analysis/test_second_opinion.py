@@ -124,6 +124,27 @@ def test_an_adversary_that_does_not_fool_under_every_seed_has_held(twin: type[Tw
     assert (some.share, some.outcome) == (0.75, "held")
 
 
+def test_every_seed_draws_the_changed_scene(twin: type[Twin]) -> None:
+    """A renderer that has no colours is given a scene in which the cube has another one, under each of the seeds."""
+    drawn: list[Tensor] = []
+
+    class Colorless(twin):  # type: ignore[misc, valid-type]
+        def initial(self) -> dict[str, Tensor]:
+            return {group: value for group, value in super().initial().items() if group != "color"}
+
+        def render(self, parameters: Any) -> Tensor:
+            images: Tensor = super().render(parameters)
+            drawn.extend([to_bytes(images[0])] if self._seed else [])
+            return images
+
+    groups = tuple(group for group in PYRENDER.groups if group.name != "color")
+    register(Declaration(name="colorless", groups=groups, differentiable=False, method="zoo"))(Colorless)
+    change = {"color": torch.tensor([[-0.25, 0.0, -0.5]], dtype=torch.float64)}
+    found, images = opinion(scene(), "pyrender", change, "colorless")
+    assert (found.note, len(drawn)) == ("", 8)
+    assert all(torch.equal(image, images["second_opinion_colorless_attacked.png"]) for image in drawn)
+
+
 def test_a_renderer_that_fails_loses_no_finished_attack(twin: type[Twin]) -> None:
     twin.fails = True
     found, images = opinion(scene(), "pyrender", TURN, "twin")

@@ -120,7 +120,8 @@ def test_the_origin_is_on_the_line_of_sight_and_one_scale_makes_scene_units(libr
 def test_each_light_has_its_share_of_the_light_everywhere(library: Library) -> None:
     room = Room()
     spot = {"type": "spot", "intensity": 500, "spot": {"outerConeAngle": 0.9}}
-    room.light(spot, name="Spot", translation=[0, 3, 0], rotation=[-(0.5**0.5), 0, 0, 0.5**0.5])  # it shines down
+    downwards = {"rotation": [-(0.5**0.5), 0, 0, 0.5**0.5], "scale": [2, 2, 2]}  # no light has a size
+    room.light(spot, name="Spot", translation=[0, 3, 0], **downwards)
     spec = job(library, room.glb, change=["Ball", "Lamp"])
     stated = spec.scene.source.model_dump()  # type: ignore[union-attr]
     lights, scale = spec.scene.lights, stated["scale"]
@@ -227,6 +228,14 @@ def test_the_strongest_of_a_hundred_lights_stay_and_the_others_are_said(library:
     dropped, colour = spec.scene.source.left_out()  # type: ignore[union-attr]
     assert dropped.startswith("97 of 101 point lights, 'L96', 'L95', 'L94' and 94 more: they are dark")
     assert colour == "the colour of the lights 'L99', 'L98', 'L97': lights are white here"
+
+
+def test_a_light_that_no_scene_can_hold_is_left_out_and_said(library: Library) -> None:
+    room = Room()
+    room.light({"type": "point", "intensity": 1e9}, name="Star", translation=[0, 5000, 0])
+    spec = job(library, room.glb, change=["Ball"])
+    assert len(spec.scene.lights.points) == 1
+    assert "1 of 2 point lights, 'Star'" in str(spec.scene.source.model_dump()["missing"])  # type: ignore[union-attr]
 
 
 def test_a_file_whose_lights_miss_the_objects_has_the_default_ones(library: Library) -> None:

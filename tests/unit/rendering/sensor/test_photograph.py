@@ -172,3 +172,14 @@ def test_coordinates_are_shares_of_the_largest_change() -> None:
     strongest = of_shares(shares(1.0))
     assert (strongest.exposure, strongest.defocus, strongest.iso) == (1.0, 2.0, 3200.0)
     assert (strongest.resolution, strongest.quality) == (0.5, 30)
+    assert of_shares(shares(0.008)).quality == 99  # 99.44, the nearest
+    assert of_shares(shares(0.006)).quality == 100  # 99.58
+
+
+def test_light_goes_on_beyond_the_edge_as_at_the_edge() -> None:
+    """A ramp would be bent at its ends by a mirror, and dark there by nothing."""
+    image = picture()
+    taken = photographed(image, replace(PLAIN, motion=6.0))
+    light, path = linear(image[0].numpy()), (np.arange(1024) + 0.5) / 1024 - 0.5
+    shifted = [shift(light, (0, 6 * t, 0), order=1, mode="nearest") for t in path]
+    np.testing.assert_allclose(taken[0].numpy(), displayed(np.mean(shifted, axis=0)), atol=1e-4)
