@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from scene_attack.scenes.description import DirectionalLight, Lights, PointLight, Shadows, SpotLight
-from tests.unit.path_tracing.agreement import MODEL, assert_agree, averaged, images, inside, tracer
-from tests.unit.rendering import shapes
+from tests.unit.path_tracing.agreement import MODEL, assert_agree, averaged, images, inside, tracer, values_of
+from tests.unit.rendering import shadow_scenes, shapes
 from tests.unit.rendering.pyrender import closed_form
 
 pytestmark = pytest.mark.slow
@@ -119,3 +119,22 @@ def test_a_light_s_size_keeps_its_unit(name: str, kind: str) -> None:
         drawn = images(tracer(name, scene, samples=256), color=[[1.0] * 3])
         means.append(drawn[..., :3].mean())
     assert means[1] == pytest.approx(means[0], rel=0.02)
+
+
+def test_the_penumbra_of_parallel_light_is_as_wide_as_its_disc(name: str) -> None:
+    """Beside the straight edge of a level square's shadow, the ground has the share of the disc that is seen there."""
+    height, half, angle = 0.8, 0.7, 0.2
+    lights = Lights(ambient=0.0, points=(), directional=(DirectionalLight(energy=3, direction=(0, -1, 0)),))
+    view = {"azimuth": 0.0, "elevation": 0.6, "distance": 4.0}
+    radiances = []
+    for things in ((shadow_scenes.square(height, half),), ()):
+        scene = shadow_scenes.over_ground(*things, shadows=Shadows(angle=angle), lights=lights, **view)
+        own = tracer(name, scene, samples=256)
+        radiances.append(own.trace(own.frame(values_of(own, {})))[..., 0])
+    eye, rays = shapes.rays(scene.description.camera)
+    ground, above = (eye + rays * ((y - eye[1]) / rays[..., 1])[..., None] for y in (0, height))
+    beyond = (ground[..., 2] - half) / (height * np.tan(angle))
+    beside = (abs(beyond) < 0.9) & (abs(ground[..., 0]) < 0.4) & (above[..., 2] > half + 0.05)
+    share = (np.arccos(-beyond[beside]) + beyond[beside] * np.sqrt(1 - beyond[beside] ** 2)) / np.pi
+    assert beside.sum() > 10
+    assert abs(radiances[0][beside] / radiances[1][beside] - share).mean() < 0.03
