@@ -63,6 +63,11 @@ class Subject:
     attacked: ScoredImage
 
 
+def asks_of_adversary(request: AnalysisRequest) -> bool:
+    """Whether a request has analyses that are of verified adversaries alone."""
+    return request.second_opinion is not None or request.survival is not None
+
+
 def analyse(subject: Subject, request: AnalysisRequest, out: Path, report: Report) -> Analyses:
     """Makes the analyses, and writes their images into the folder `out`.
 
@@ -87,7 +92,8 @@ def analyse(subject: Subject, request: AnalysisRequest, out: Path, report: Repor
         for number, name in enumerate(request.transfer.targets):
             report("transfer", number, len(request.transfer.targets))
             analyses.transfer.append(_to_target(subject, name))
-    if request.second_opinion is not None and goal.fooled(attacked.logits):
+    verified = asks_of_adversary(request) and bool(goal.fooled(attacked.logits)) and verifier.holds(perturbation, goal)
+    if request.second_opinion is not None and verified:
         analyses.second_opinion = []
         for number, name in enumerate(request.second_opinion.renderers):
             report("second opinion", number, len(request.second_opinion.renderers))
@@ -98,7 +104,7 @@ def analyse(subject: Subject, request: AnalysisRequest, out: Path, report: Repor
             analyses.second_opinion.append(opinion)
             for file, image in images.items():
                 save_png(image, out / file)
-    if request.survival is not None and goal.fooled(attacked.logits):
+    if request.survival is not None and verified:
         tick, seed = partial(report, "survival"), prepared.spec.seed
         analyses.survival = survival(
             verifier, goal, prepared.right, original.exact, attacked.exact, request.survival, seed=seed, tick=tick

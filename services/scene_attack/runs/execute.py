@@ -33,7 +33,7 @@ from scene_attack.rendering.declaration import RENDERERS
 from scene_attack.rendering.physical_change import Change, change_images, changes_in_words
 from scene_attack.rendering.plan import Plan
 from scene_attack.rendering.protocol import Parameters, Renderer
-from scene_attack.runs.analyse import Report, Subject, analyse
+from scene_attack.runs.analyse import Report, Subject, analyse, asks_of_adversary
 from scene_attack.runs.prepare import Prepared, by_task, lit_by_map, prepare, prepare_exactly
 from scene_attack.runs.result import (
     ATTACKED,
@@ -56,6 +56,11 @@ from scene_attack.runs.task_parts import ResultPart
 from scene_attack.scenes.library import Library
 from scene_attack.targets.info import TARGETS
 
+NO_ADVERSARY = JobWarning(
+    code="left-out",
+    field="analysis",
+    text="a second opinion and survival are of verified adversaries; this is none, so they were not made",
+)
 _VERSIONED = ("scene-attack", "torch", "numpy", "pyrender-maintained", "PyOpenGL", "trimesh", "OpenEXR", "safetensors")
 
 
@@ -161,15 +166,15 @@ def _write(
     ends = original, attacked
     rows = subsets(verifier, settled.goal, stored, *ends, lambda row, image: save_png(image, out / subset_image(row)))
     analyses = Analyses()
-    if prepared.spec.analysis != AnalysisRequest():  # it asks for some
-        analyses = analyse(Subject(prepared, stored, *ends), prepared.spec.analysis, out, report)
+    if (asked := prepared.spec.analysis) != AnalysisRequest():  # it asks for some
+        analyses = analyse(Subject(prepared, stored, *ends), asked, out, report)
     held = _held_over(prepared, stored, partial(report, "expectation"))
     verdict, part = _verdict(prepared, run, attacked, out)
     answer_of = partial(answer, labels=prepared.target.labels, goal=settled.goal)
     result = Result(
         spec=prepared.spec.model_dump(mode="json"),
         verdict=verdict,
-        warnings=list(settled.warnings),
+        warnings=[*settled.warnings, *([] if verdict.verified or not asks_of_adversary(asked) else [NO_ADVERSARY])],
         original=answer_of(original.logits),
         attacked=answer_of(attacked.logits),
         in_loop=answer_of(run.best.scores),

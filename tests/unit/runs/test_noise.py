@@ -11,6 +11,7 @@ import scene_attack as sa
 from scene_attack.attacks.run import SEEDS
 from scene_attack.rendering.declaration import RENDERERS, BuildRequest, Declaration, DeclaredRenderer, Group, register
 from scene_attack.rendering.plan import Plan
+from scene_attack.runs.execute import NO_ADVERSARY
 from scene_attack.runs.result import Result, success
 
 SCENE = {"camera": {"size": [64, 64]}, "objects": [{"mesh": "primitive/sphere"}]}
@@ -60,11 +61,13 @@ def grain() -> Iterator[None]:
     RENDERERS.restore(before)
 
 
-def run() -> Result:
+def run(**analysis: Any) -> Result:
     """Attacks a network that answers 1 where the image is brighter than 0.35: only some way from its 0.2."""
     target = sa.target(lambda images: images.mean((2, 3))[:, :2] * torch.tensor([0, 1]) + torch.tensor([0.35, 0]))
     settings: dict[str, Any] = {"delta": 0.1, "learning_rate": 0.1, "weight": 0.0, "steps": 8}
-    return sa.attack(sa.renderer(SCENE, "grain"), target, sa.ZOO(renderer="grain", **settings)).record
+    return sa.attack(
+        sa.renderer(SCENE, "grain"), target, sa.ZOO(renderer="grain", **settings), analysis=analysis
+    ).record
 
 
 def test_the_result_says_how_the_verdict_holds_under_other_seeds() -> None:
@@ -85,3 +88,13 @@ def test_one_seed_that_holds_refuses_what_all_others_say(monkeypatch: pytest.Mon
     assert result.verdict.noise is not None
     assert result.verdict.noise.share == 1 - 1 / SEEDS
     assert not success(result)
+
+
+@pytest.mark.parametrize("spoilt", [0, SEEDS])
+def test_what_is_of_verified_adversaries_is_made_of_those_that_hold_under_every_seed(
+    monkeypatch: pytest.MonkeyPatch, spoilt: int
+) -> None:
+    monkeypatch.setattr(Grain, "spoilt", frozenset([spoilt] if spoilt else []))
+    result = run(survival={"draws": 2})
+    assert (result.analyses.survival is None) == bool(spoilt)
+    assert (NO_ADVERSARY in result.warnings) == bool(spoilt)
