@@ -58,6 +58,8 @@ SMALLEST = 1e-3
 """Smallest scale of an object."""
 MAX_ENERGY = 9_900
 """Largest energy of a light here; it may have 10,000."""
+DARK = 1e-30
+"""Largest intensity of a light that counts as none: no finite exposure makes it seen."""
 MAX_LISTED = 20
 """Nodes that a message lists."""
 
@@ -341,7 +343,7 @@ def _lights(
     kept: list[FileLight] = []
     for kind in ("point", "directional", "spot"):
         own = sorted((light for light in lights if light.kind == kind), key=lambda light: -_irradiance(light, around))
-        shown = [light for light in own if light.intensity > 0 and _is_within_reach(light, frame)][:MAX_LIGHTS]
+        shown = [light for light in own if light.intensity > DARK and _is_within_reach(light, frame)][:MAX_LIGHTS]
         kept += shown
         if dropped := [light for light in own if not any(light is other for other in shown)]:
             missing.append(

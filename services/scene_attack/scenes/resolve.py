@@ -459,10 +459,12 @@ def _in_view(scene: Scene, index: int, mesh: Mesh, to_clip: Doubles) -> None:
         return
     placed = scene.objects[index]
     why = "it is too small: less than a pixel of it shows" if area > 0 else "nothing of it is inside the frame"
+    node = placed.mesh.partition("#")[2]
+    hint = f"; it is node #{node} of the file, and `source.change` names those that the camera sees" if node else ""
     raise InvalidRequest(
         f"scene.objects.{index}",
         f"out of view: {why}; the camera looks at the origin from a distance of {scene.camera.distance:g}, and the "
-        f"object of scale {placed.scale:g} is at ({', '.join(f'{x:g}' for x in placed.translation)})",
+        f"object of scale {placed.scale:g} is at ({', '.join(f'{x:g}' for x in placed.translation)}){hint}",
     )
 
 
