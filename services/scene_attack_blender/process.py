@@ -6,12 +6,14 @@ scene and the frame decides it. If it fails again the job ends with a reason.
 
 import json
 import os
+import shutil
 import signal
 import socket
 import subprocess
 import tempfile
 import threading
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -30,6 +32,9 @@ ENDING_SECONDS = 5.0
 """Longest wait for the end of a process whose connection is closed."""
 ERRORS = "errors"
 """File in the process's folder with what Blender and Python print of errors."""
+
+FOLDER = "scene-attack-blender-"
+"""Beginning of the name of the process's folder; the number of the process that started it follows."""
 
 log = logger(__name__)
 
@@ -92,7 +97,8 @@ class BlenderProcess:
 
     def _start(self) -> None:
         ours, theirs = socket.socketpair()
-        self._folder = tempfile.TemporaryDirectory()
+        _remove_left_folders()
+        self._folder = tempfile.TemporaryDirectory(prefix=f"{FOLDER}{os.getpid()}-")
         with theirs, Path(self._folder.name, ERRORS).open("wb") as errors:
             self._process = subprocess.Popen(
                 program("scene_attack_blender.cycles", str(theirs.fileno()), self._folder.name),
@@ -153,6 +159,17 @@ class BlenderProcess:
         if self._folder is not None:
             self._folder.cleanup()
         self._process = self._stream = self._connection = self._folder = self._staged = None
+
+
+def _remove_left_folders() -> None:
+    """Removes the folders of processes that were killed, and so left theirs."""
+    for folder in Path(tempfile.gettempdir()).glob(f"{FOLDER}*"):
+        owner = folder.name.removeprefix(FOLDER).partition("-")[0]
+        with suppress(ValueError, PermissionError):  # of another program, or another user's
+            try:
+                os.kill(int(owner), 0)
+            except ProcessLookupError:
+                shutil.rmtree(folder, ignore_errors=True)
 
 
 def ended(code: int, printed: str) -> JobFailure:

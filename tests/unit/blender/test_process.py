@@ -2,6 +2,7 @@
 
 import os
 import signal
+import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Sequence
@@ -97,6 +98,22 @@ def test_no_image_is_left_on_the_disk(process: BlenderProcess, monkeypatch: pyte
     own.render(places(own, 2))
     assert list(tmp_path.glob("*/errors"))
     assert not list(tmp_path.rglob("*.exr"))
+
+
+def test_the_folder_of_a_killed_process_is_removed_by_the_next(
+    process: BlenderProcess, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    process.close()
+    ended = subprocess.run(["sh", "-c", "echo $$"], capture_output=True, text=True, check=True).stdout.strip()
+    left, used = (tmp_path / f"scene-attack-blender-{owner}-x" for owner in (ended, os.getppid()))
+    for folder in (left, used):
+        folder.mkdir()
+        (folder / "errors").touch()
+    own = renderer()
+    own.render(places(own, 1))
+    assert (left.exists(), used.exists()) == (False, True)
+    assert len(list(tmp_path.glob(f"scene-attack-blender-{os.getpid()}-*"))) == 1
 
 
 def test_a_blender_that_hangs_is_ended_and_started_again(
