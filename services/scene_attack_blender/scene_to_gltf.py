@@ -112,7 +112,8 @@ def _plain(scene: Any) -> Plain:
                 nodes[name] = bpy.data.objects.new(name, None)
                 scene.collection.objects.link(nodes[name])
             if nodes[name] is not thing:  # a library's object may have the same name
-                thing.parent = thing = nodes[name]
+                thing.parent = nodes[name]
+                thing = nodes[name]
     return plain
 
 
