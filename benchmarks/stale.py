@@ -66,6 +66,7 @@ DEPENDS: dict[str, tuple[str, ...]] = {
     "docs/study/nondifferentiable.json": ("pyrender", ALEXNET, RESNET),
     "docs/study/one-look-alexnet.json": ("torch", ALEXNET),
     "docs/study/one-look-resnet34.json": ("torch", RESNET),
+    "docs/study/second-opinion.json": (*BOTH, ALEXNET, RESNET),
     "docs/study/survival.json": (*BOTH, ALEXNET, RESNET),
     "docs/study/physical.json": ("torch", ALEXNET, RESNET),
     "docs/study/physical-lite0.json": ("torch", LITE0),

@@ -13,6 +13,7 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict
 
 from benchmarks.study.record import Job, Record
+from scene_attack.analysis.second_opinion import image_file
 from scene_attack.runs.result import Result
 
 IMAGES = {"original": "before", "attacked": "attacked", "perturbation": "difference"}
@@ -31,6 +32,17 @@ class Answered(BaseModel):
     before_confidence: float
     after: str
     after_confidence: float
+
+
+class Opinion(BaseModel):
+    """What the network answers when another renderer draws an example; its image is `<name>-<renderer>.png`."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    renderer: str
+    after: str
+    after_confidence: float
+    outcome: str
 
 
 class Example(BaseModel):
@@ -53,6 +65,13 @@ class Example(BaseModel):
     words: tuple[str, ...] = ()
     """What was changed, in words and units."""
     questions: tuple[Answered, ...] = ()
+    opinions: tuple[Opinion, ...] = ()
+
+    @property
+    def files(self) -> dict[str, str]:
+        """The names of its images: by those of a job's, those beside the page."""
+        drawn = {image_file(one.renderer, "attacked"): f"{self.name}-{one.renderer}.png" for one in self.opinions}
+        return {f"{image}.png": f"{self.name}-{called}.png" for image, called in IMAGES.items()} | drawn
 
 
 def median_success(jobs: Sequence[Job]) -> Job | None:
@@ -73,12 +92,9 @@ def of_record(record: Record, name: str, folder: Path, out: Path) -> list[Exampl
         [place] = (folder / "jobs").glob(f"{job.request}*[0-9a-f]")
         result = Result.model_validate_json((place / "result.json").read_bytes())
         # the attack's name is a text of the campaign, which need not be a file's name
-        called_so = f"{name}-{len(chosen) + 1}"
-        for image, called in IMAGES.items():
-            shutil.copyfile(place / f"{image}.png", out / f"{called_so}-{called}.png")
         chosen.append(
             Example(
-                name=called_so,
+                name=f"{name}-{len(chosen) + 1}",
                 campaign=name,
                 target=job.target,
                 attack=job.attack,
@@ -101,8 +117,20 @@ def of_record(record: Record, name: str, folder: Path, out: Path) -> list[Exampl
                     )
                     for question in job.questions
                 ),
+                opinions=tuple(
+                    Opinion(
+                        renderer=one.renderer,
+                        after=str(one.after.label),
+                        after_confidence=one.after.confidence or 0.0,
+                        outcome=str(one.outcome),
+                    )
+                    for one in result.analyses.second_opinion or ()
+                    if one.after is not None
+                ),
             )
         )
+        for image, called in chosen[-1].files.items():
+            shutil.copyfile(place / image, out / called)
     return chosen
 
 
@@ -115,7 +143,7 @@ def load(folder: Path) -> list[Example]:
 def save(folder: Path, campaign: str, examples: Sequence[Example]) -> None:
     """Writes examples.json with these examples in place of the campaign's earlier ones, whose images it deletes."""
     kept = [example for example in load(folder) if example.campaign != campaign]
-    named = {f"{example.name}-{called}.png" for example in examples for called in IMAGES.values()}
+    named = {called for example in examples for called in example.files.values()}
     for path in folder.glob(f"{campaign}-*.png"):
         if path.name not in named:
             path.unlink()

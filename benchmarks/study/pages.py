@@ -212,13 +212,16 @@ PHYSICAL = Page(
 )
 
 
+OPINION = "second-opinion"
 SURVIVAL = Page(
     name="survival.md",
-    curves={"survival": None},
-    with_examples=(),
+    curves={"survival": None, OPINION: None},
+    with_examples=(OPINION,),
     parts={
-        "views": of("survival", lambda record: tables.views([record])),
+        "views": of_all(("survival", OPINION), tables.views),
         "cameras": of("survival", survival.before_cameras),
+        "others": of(OPINION, survival.drawn_by_others),
+        "pictures": lambda study: survival.pictures(study.examples),
         "foot": foot,
     },
 )

@@ -9,7 +9,7 @@ from typing import Any, Self
 from pydantic import BaseModel, ConfigDict, model_validator
 
 from scene_attack.analysis.campaign_table import Case, MeanCurves, Table, table
-from scene_attack.analysis.verdict import SUCCESS
+from scene_attack.analysis.verdict import SUCCESS, Verdict
 from scene_attack_accuracy.tables import rows_as_json
 
 
@@ -98,7 +98,7 @@ class Job(_Record):
     """What came of an attack over a range of views."""
     survival: Around | None = None
     """What came of a verified adversary before cameras."""
-    second_opinion: dict[str, str] = {}
+    second_opinion: dict[str, Verdict] = {}
     """What a verified adversary came to when other renderers drew it, by renderer."""
     request: str
     scene: str = ""
@@ -142,6 +142,7 @@ class Job(_Record):
             perceptibility=self.p,
             loop_perceptibility=self.p_loop,
             truncated=self.truncated,
+            second_opinion=self.second_opinion,
             queries=self.queries,
             seconds=self.seconds,
         )

@@ -1,7 +1,10 @@
-"""The tables of what verified adversaries survive: cameras that take their image."""
+"""The tables of what verified adversaries survive: cameras that take their image, and renderers that draw them."""
 
+from collections.abc import Sequence
+
+from benchmarks.study.examples import Example
 from benchmarks.study.record import Job, Record
-from benchmarks.study.tables import NONE, OF, bold, markdown, milli, ordered, title
+from benchmarks.study.tables import NONE, OF, bold, markdown, milli, ordered, rate_texts, title
 from scene_attack.analysis.campaign_table import Mean, mean
 
 HALF = 0.5
@@ -22,6 +25,37 @@ def before_cameras(record: Record) -> str:
         rows += [[f"**{title(target)}**" if place == 0 else "", *row] for place, row in enumerate(block)]
     heads = ("verified", "p ×10⁻³", "right before cameras, %", "survival, %", "95 % interval", "before half of them")
     return markdown(("network", "attack", *heads), rows, texts=2)
+
+
+def drawn_by_others(record: Record) -> str:
+    """For each network, attack and renderer how many of the verified adversaries fool when it draws them."""
+    table, rows = record.table(), []
+    for target in ordered(table.targets):
+        block = []
+        for cell in (cell for cell in table.cells if cell.target == target):
+            verified = f"{cell.success.count}{OF}{cell.success.of}"
+            for renderer, rate in cell.second_opinion.items():
+                count, share, between = rate_texts(rate)
+                block.append([cell.attack, renderer, verified, milli(cell.perceptibility), bold(count), share, between])
+        rows += [[f"**{title(target)}**" if place == 0 else "", *row] for place, row in enumerate(block)]
+    heads = ("verified", "p ×10⁻³", "fool there", "%", "95 % interval")
+    return markdown(("network", "attack", "drawn by", *heads), rows, texts=3)
+
+
+def pictures(examples: Sequence[Example]) -> str:
+    """The examples as each renderer draws them: the image by which they were verified, then those of the others."""
+    rows = []
+    for example in examples:
+        before = f"![before]({example.name}-before.png)<br>{example.before}, {example.before_confidence:.0%}"
+        own = f"![attacked]({example.name}-attacked.png)<br>**{example.after}**, {example.after_confidence:.0%}"
+        others = [
+            f"![{one.renderer}]({example.name}-{one.renderer}.png)<br>{one.renderer}: {one.after}, "
+            f"{one.after_confidence:.0%}: {one.outcome}"
+            for one in example.opinions
+        ]
+        rows.append([f"{title(example.target)}, {example.attack}<br>p {1e3 * example.p:.1f}", before, own, *others])
+    renderers = [one.renderer for one in examples[0].opinions] if examples else []
+    return markdown(("attack", "before", "verified", *renderers), rows, texts=len(renderers) + 3)
 
 
 def _row(jobs: list[Job]) -> list[str]:

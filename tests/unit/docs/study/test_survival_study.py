@@ -2,9 +2,10 @@
 
 import pytest
 
+from benchmarks.study.examples import Example, Opinion
 from benchmarks.study.pages import SURVIVAL
 from benchmarks.study.record import load
-from benchmarks.study.survival import before_cameras
+from benchmarks.study.survival import before_cameras, drawn_by_others, pictures
 from scene_attack.analysis.verdict import wilson
 from tests.unit.docs.study.test_study_records import SMALL, raw, rows_of
 
@@ -30,3 +31,35 @@ def test_the_page_has_every_part() -> None:
     text = SURVIVAL.files(SMALL)["survival.md"]
     assert "{{" not in text
     assert "paper-survival.json" in text
+
+
+def test_survivors_are_of_the_verified_whose_scene_is_right_in_the_other_renderer() -> None:
+    """Those that are still wrong there, as they are without the attack, count nowhere."""
+    rows, network = {}, ""
+    for row in rows_of(drawn_by_others(load(SMALL / "second-opinion.json"))):
+        network = row[0] or network  # only the first row of a network has its name
+        rows[network, row[1], row[2]] = row[3:]
+    everything = raw(SMALL / "second-opinion.json")
+    for target, name in (("alexnet-furniture", "**AlexNet**"), ("resnet34-furniture", "**ResNet-34**")):
+        jobs = [job for job in everything if (job["target"], job["attack"]) == (target, "pyrender")]
+        for renderer in ("blender", "mitsuba", "stock-pyrender"):
+            words = [job["second_opinion"][renderer] for job in jobs if "second_opinion" in job]
+            right = [word for word in words if word != "still-wrong"]
+            fooled, of = right.count("fooled"), len(right)
+            low, high = wilson(fooled, of)
+            verified, _, there, share, between = rows[name, "pyrender", renderer]
+            assert verified.split() == [str(len(words)), "of", str(len(jobs))]
+            assert there.strip("*").split() == [str(fooled), "of", str(of)]
+            assert float(share) == pytest.approx(100 * fooled / of, abs=0.051)
+            assert between == f"{100 * low:.1f}–{100 * high:.1f}"
+
+
+def test_an_example_is_shown_as_each_renderer_draws_it() -> None:
+    opinions = (Opinion(renderer="blender", after="table", after_confidence=0.91, outcome="held"),)
+    about = {"campaign": "second-opinion", "target": "alexnet-furniture", "attack": "bump", "mesh": "a", "request": "b"}
+    answers = {"before": "table", "before_confidence": 0.96, "after": "cabinet", "after_confidence": 0.4}
+    example = Example(name="x-1", **about, **answers, p=0.015, credits=(), opinions=opinions)
+    assert example.files["second_opinion_blender_attacked.png"] == "x-1-blender.png"
+    [row] = rows_of(pictures([example]))
+    assert "(x-1-blender.png)" in row[-1]
+    assert "table, 91%: held" in row[-1]
