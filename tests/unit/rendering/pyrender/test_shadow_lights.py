@@ -153,3 +153,21 @@ def test_the_finer_maps_of_a_plan_fit_into_memory_as_the_scenes_own_do() -> None
     ]
     assert stage.method.startswith("48 maps of 2048 × 2048 texels")
     assert "; 2360 × 2360 texels and 64 samples change displayed values by " in stage.why  # a little below 1 GiB
+
+
+@pytest.mark.usefixtures("software_opengl")
+def test_maps_that_are_kept_leave_room_for_the_last(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A light at as many places one after the other as there are layers, and at one more."""
+    monkeypatch.setattr(compiled, "library", lambda: None)
+    scene = over_ground(ball(), shadows=HARD.model_copy(update={"resolution": 72}), size=(24, 32))
+    lit = scene.description.model_copy(update={"lights": Lights(points=(PointLight(position=PLACE.tolist()),))})
+    scene = replace(scene, description=lit)
+    kept, fresh = PyrenderRenderer(scene), PyrenderRenderer(scene)
+    assert not kept.rasterises
+    from scene_attack.rendering.opengl.shadow_maps import FEWEST_LAYERS  # it needs OpenGL, which is set up by now
+
+    illuminations = kept.initial()["illumination"].repeat(FEWEST_LAYERS + 1, 1)
+    illuminations[:, 1:] += torch.linspace(0, 0.3, FEWEST_LAYERS + 1)[:, None]
+    one_by_one = [kept.render({"illumination": row[None]})[0] for row in illuminations]
+    assert torch.equal(one_by_one[-1], fresh.render({"illumination": illuminations[-1:]})[0])
+    assert not torch.equal(one_by_one[-1], one_by_one[-2])
