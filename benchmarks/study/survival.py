@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 from benchmarks.study.examples import Example
 from benchmarks.study.record import Job, Record
-from benchmarks.study.tables import NONE, OF, bold, markdown, milli, ordered, rate_texts, title
-from scene_attack.analysis.campaign_table import Mean, mean
+from benchmarks.study.tables import NONE, OF, bold, markdown, milli, ordered, title
+from scene_attack.analysis.campaign_table import Mean, Rate, mean
 
 HALF = 0.5
 """Share of the cameras from which an adversary counts as one that survives."""
@@ -28,34 +28,42 @@ def before_cameras(record: Record) -> str:
 
 
 def drawn_by_others(record: Record) -> str:
-    """For each network, attack and renderer how many of the verified adversaries fool when it draws them."""
+    """For each network and attack how many of the verified adversaries fool when each other renderer draws them, of
+    those whose scene the network has right there.
+    """
     table, rows = record.table(), []
     for target in ordered(table.targets):
         block = []
         for cell in (cell for cell in table.cells if cell.target == target):
             verified = f"{cell.success.count}{OF}{cell.success.of}"
-            for renderer, rate in cell.second_opinion.items():
-                count, share, between = rate_texts(rate)
-                block.append([cell.attack, renderer, verified, milli(cell.perceptibility), bold(count), share, between])
+            opinions = (cell.second_opinion.get(renderer) for renderer in table.renderers)
+            block.append([cell.attack, verified, milli(cell.perceptibility), *map(_survivors, opinions)])
         rows += [[f"**{title(target)}**" if place == 0 else "", *row] for place, row in enumerate(block)]
-    heads = ("verified", "p ×10⁻³", "fool there", "%", "95 % interval")
-    return markdown(("network", "attack", "drawn by", *heads), rows, texts=3)
+    return markdown(("network", "attack", "verified", "p ×10⁻³", *table.renderers), rows, texts=2)
+
+
+def _survivors(rate: Rate | None) -> str:
+    """A count of survivors, and its interval in per cent."""
+    if rate is None or rate.low is None or rate.high is None:
+        return NONE
+    return f"{bold(f'{rate.count}{OF}{rate.of}')}<br>{100 * rate.low:.0f}–{100 * rate.high:.0f} %"
 
 
 def pictures(examples: Sequence[Example]) -> str:
     """The examples as each renderer draws them: the image by which they were verified, then those of the others."""
     rows = []
     for example in examples:
-        before = f"![before]({example.name}-before.png)<br>{example.before}, {example.before_confidence:.0%}"
-        own = f"![attacked]({example.name}-attacked.png)<br>**{example.after}**, {example.after_confidence:.0%}"
-        others = [
-            f"![{one.renderer}]({example.name}-{one.renderer}.png)<br>{one.renderer}: {one.after}, "
-            f"{one.after_confidence:.0%}: {one.outcome}"
-            for one in example.opinions
-        ]
-        rows.append([f"{title(example.target)}, {example.attack}<br>p {1e3 * example.p:.1f}", before, own, *others])
+        about = f"{title(example.target)}, {example.attack}, p {1e3 * example.p:.1f}"
+        before = f"{example.before}, {example.before_confidence:.0%}<br>{about}"
+        after = f"**{example.after}**, {example.after_confidence:.0%}"
+        others = (f"{one.after}, {one.after_confidence:.0%}: {one.outcome}" for one in example.opinions)
+        images = ("before", "attacked", *(one.renderer for one in example.opinions))
+        notes = (before, after, *others)
+        rows.append(
+            [f"![{image}]({example.name}-{image}.png)<br>{note}" for image, note in zip(images, notes, strict=True)]
+        )
     renderers = [one.renderer for one in examples[0].opinions] if examples else []
-    return markdown(("attack", "before", "verified", *renderers), rows, texts=len(renderers) + 3)
+    return markdown(("before", "verified", *renderers), rows, texts=len(renderers) + 2)
 
 
 def _row(jobs: list[Job]) -> list[str]:
