@@ -32,6 +32,7 @@ def convert(
     from scene_attack.errors import InvalidRequest
     from scene_attack.process import program
     from scene_attack.scenes.reading.isolated import listed
+    from scene_attack_blender.conversion import NOTES, SCENE
     from scene_attack_blender.plugin import check_installed
     from scene_attack_blender.process import ended, environment
 
@@ -63,12 +64,12 @@ def convert(
             if failure.kind != "internal":
                 raise failure
             raise InvalidRequest("FILE", f"{failure.detail}, while it read {file.name}")
-        notes = json.loads(Path(folder, "notes.json").read_bytes())
+        notes = json.loads(Path(folder, NOTES).read_bytes())
         if notes["unconfined"] is not None:
             remark(f"nothing kept Blender from files outside the folder of {file.name}: {notes['unconfined']}")
         if notes["error"] is not None:
             raise InvalidRequest("FILE", f"Blender cannot read {file.name}: {notes['error']}")
-        write(out, Path(folder, "scene.glb").read_bytes())
+        write(out, Path(folder, SCENE).read_bytes())
     layers = dict.fromkeys(UNRESOLVED.findall(run.stderr))
     unresolved = [f"the layer {layer}: it is not there, or outside the folder of the file" for layer in layers]
     missing = listed((*unresolved, *notes["missing"]))

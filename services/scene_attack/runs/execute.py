@@ -165,8 +165,8 @@ def _write(
     attacked = scored(verifier, stored)
     ends = original, attacked
     rows = subsets(verifier, settled.goal, stored, *ends, lambda row, image: save_png(image, out / subset_image(row)))
-    analyses = Analyses()
-    if (asked := prepared.spec.analysis) != AnalysisRequest():  # it asks for some
+    analyses, asked = Analyses(), prepared.spec.analysis
+    if asked != AnalysisRequest():  # it asks for some
         analyses = analyse(Subject(prepared, stored, *ends), asked, out, report)
     held = _held_over(prepared, stored, partial(report, "expectation"))
     verdict, part = _verdict(prepared, run, attacked, out)
