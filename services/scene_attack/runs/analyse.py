@@ -55,12 +55,13 @@ Report = Callable[[str, int, int], None]
 
 @dataclass(frozen=True)
 class Subject:
-    """A job's stored perturbation, and the images and scores of its two ends."""
+    """A job's stored perturbation, the images and scores of its two ends, and whether it is a verified adversary."""
 
     prepared: Prepared
     perturbation: Parameters
     original: ScoredImage
     attacked: ScoredImage
+    verified: bool
 
 
 def asks_of_adversary(request: AnalysisRequest) -> bool:
@@ -92,8 +93,7 @@ def analyse(subject: Subject, request: AnalysisRequest, out: Path, report: Repor
         for number, name in enumerate(request.transfer.targets):
             report("transfer", number, len(request.transfer.targets))
             analyses.transfer.append(_to_target(subject, name))
-    verified = asks_of_adversary(request) and bool(goal.fooled(attacked.logits)) and verifier.holds(perturbation, goal)
-    if request.second_opinion is not None and verified:
+    if request.second_opinion is not None and subject.verified:
         analyses.second_opinion = []
         for number, name in enumerate(request.second_opinion.renderers):
             report("second opinion", number, len(request.second_opinion.renderers))
@@ -104,7 +104,7 @@ def analyse(subject: Subject, request: AnalysisRequest, out: Path, report: Repor
             analyses.second_opinion.append(opinion)
             for file, image in images.items():
                 save_png(image, out / file)
-    if request.survival is not None and verified:
+    if request.survival is not None and subject.verified:
         tick, seed = partial(report, "survival"), prepared.spec.seed
         analyses.survival = survival(
             verifier, goal, prepared.right, original.exact, attacked.exact, request.survival, seed=seed, tick=tick
@@ -169,7 +169,8 @@ def analyse_stored(directory: Path, request: AnalysisRequest, library: Library, 
     perturbation = {group: stored.perturbation[group] for group in spec.attack.groups}  # in the order of tables
     ends = prepared.original, scored(verifier, perturbation)
     rows = subsets(verifier, prepared.settled.goal, perturbation, *ends)
-    analyses = analyse(Subject(prepared, perturbation, *ends), request, directory, report)
+    verified = stored.result.verdict.verified and bool(prepared.settled.goal.fooled(ends[1].logits))
+    analyses = analyse(Subject(prepared, perturbation, *ends, verified), request, directory, report)
     return StoredAnalysis(subsets=rows, attribution=of_subsets(rows), analyses=analyses)
 
 

@@ -165,11 +165,11 @@ def _write(
     attacked = scored(verifier, stored)
     ends = original, attacked
     rows = subsets(verifier, settled.goal, stored, *ends, lambda row, image: save_png(image, out / subset_image(row)))
+    verdict, part = _verdict(prepared, run, attacked, out)
     analyses, asked = Analyses(), prepared.spec.analysis
     if asked != AnalysisRequest():  # it asks for some
-        analyses = analyse(Subject(prepared, stored, *ends), asked, out, report)
+        analyses = analyse(Subject(prepared, stored, *ends, verdict.verified), asked, out, report)
     held = _held_over(prepared, stored, partial(report, "expectation"))
-    verdict, part = _verdict(prepared, run, attacked, out)
     answer_of = partial(answer, labels=prepared.target.labels, goal=settled.goal)
     result = Result(
         spec=prepared.spec.model_dump(mode="json"),
