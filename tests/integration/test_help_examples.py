@@ -20,7 +20,6 @@ from scene_attack.cli.commands_page import commands, examples
 from tests.integration.conftest import Stack, until
 from tests.integration.specs import ENDLESS, QUICK, long, scene
 from tests.integration.test_run import small
-from tests.unit.blender.blend_files import room
 from tests.unit.client.command_line import cli
 from tests.unit.path_tracing.conftest import missing
 from tests.unit.scenes.scene_files import Room
@@ -56,6 +55,8 @@ class Reader:
         self.left = [example for example in EXAMPLES if not _is_elsewhere(example)]
         self.converts = missing("blender") is None
         if self.converts:
+            from tests.unit.blender.blend_files import room  # the plug-in and its tests can be taken away together
+
             room(folder)
             (folder / "room.usdz").rename(folder / "kitchen.usdz")
         self.environ = {"SCENE_ATTACK_DATA": str(folder / "data")}

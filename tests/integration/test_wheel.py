@@ -12,17 +12,7 @@ import pytest
 pytestmark = pytest.mark.integration
 
 ROOT = Path(__file__).parents[2]
-PACKAGES = {
-    "scene_attack",
-    "scene_attack_service",
-    "scene_attack_questions",
-    "scene_attack_blender",
-    "scene_attack_mitsuba",
-    "scene_attack_stock",
-    "scene_attack_accuracy",
-    "scene_attack_api",
-    "scene_attack_worker",
-}
+PACKAGES = {path.parent.name for room in ("services", "api", "worker") for path in (ROOT / room).glob("*/__init__.py")}
 KERNELS = {f"scene_attack/rendering/kernels/kernels-{level}.so" for level in ("v3", "v4")}
 ATTACK = """
 import sys

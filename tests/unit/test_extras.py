@@ -78,15 +78,9 @@ def found_in(*roots: str) -> list[tuple[str, str, bool]]:
     ]
 
 
-LIBRARY = found_in(
-    "services/scene_attack",
-    "services/scene_attack_questions",
-    "services/scene_attack_blender",
-    "services/scene_attack_mitsuba",
-    "services/scene_attack_stock",
-    "services/scene_attack_accuracy",
-)
-SERVICE = found_in("services/scene_attack_service", "api", "worker")
+SERVED = ("services/scene_attack_service", "api", "worker")
+LIBRARY = found_in(*{f"services/{path.name}" for path in (ROOT / "services").glob("scene_attack*")}.difference(SERVED))
+SERVICE = found_in(*SERVED)
 
 
 def test_a_plain_installation_is_sixteen_packages_and_each_is_imported() -> None:

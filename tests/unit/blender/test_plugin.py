@@ -3,8 +3,10 @@
 import subprocess
 import sys
 from importlib import metadata
+from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
 
 from scene_attack.errors import InvalidRequest
 from scene_attack.rendering.declaration import RENDERERS
@@ -16,6 +18,7 @@ from tests.unit.jobs.small import LIBRARY, SPHERE
 pytestmark = pytest.mark.slow
 
 
+PINS = Path(__file__).parents[3] / "requirements-renderers.txt"
 REQUEST = {"scene": SPHERE, "attack": {"renderer": "blender"}}
 
 
@@ -55,3 +58,14 @@ def test_left_out_it_is_unknown_and_all_else_works() -> None:
     environment = {"PATH": "/usr/bin:/bin", "SCENE_ATTACK_WITHOUT_PLUGINS": "blender"}
     done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
     assert done.stdout.split() == [name for name in RENDERERS if name != "blender"]
+
+
+def test_the_tests_have_the_release_of_blender_that_is_asked_for() -> None:
+    [line] = [line for line in PINS.read_text().splitlines() if line.startswith("bpy")]
+    need = Requirement(line.removesuffix(" \\"))
+    assert need.marker is not None
+    assert str(need.specifier).startswith(f"=={plugin.RELEASE}.")
+    assert need.marker.evaluate(
+        {"python_full_version": "3.11.9", "platform_machine": "x86_64", "sys_platform": "linux"}
+    )
+    assert not need.marker.evaluate({"python_full_version": "3.12.0"})

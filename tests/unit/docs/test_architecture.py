@@ -14,13 +14,9 @@ DRAWN_ARROWS = set(re.findall(r"^    (\w+) --> (\w+)$", PAGE, re.MULTILINE))
 LIBRARY = ROOT / "services" / "scene_attack"
 GROUND_FLOOR = {path.stem for path in LIBRARY.glob("*.py")} - {"objects", "owner", "plugin", "__main__"}
 """Modules of the library that every room may import; the page names them in words."""
-PACKAGES = (
-    "scene_attack",
-    *(
-        f"scene_attack_{name}"
-        for name in ("service", "questions", "blender", "mitsuba", "stock", "accuracy", "api", "worker")
-    ),
-)
+PACKAGES = [
+    path.parent.name for place in ("services", "api", "worker") for path in (ROOT / place).glob("*/__init__.py")
+]
 
 
 def room(module: str) -> str | None:
