@@ -40,6 +40,7 @@ from scene_attack.rendering.torch.declaration import TORCH
 from scene_attack.runs import classification
 from scene_attack.runs.prepare import Prepared, prepare, resolved_scene, task_of
 from scene_attack.runs.replay import read_stored
+from scene_attack.runs.result import JobWarning
 from scene_attack.runs.spec import JobSpec, asked_goal, parse
 from scene_attack.scenes.image_file import other_size
 from scene_attack.scenes.library import Library
@@ -64,9 +65,17 @@ class Subject:
     verified: bool
 
 
-def asks_of_adversary(request: AnalysisRequest) -> bool:
-    """Whether a request has analyses that are of verified adversaries alone."""
-    return request.second_opinion is not None or request.survival is not None
+NO_ADVERSARY = JobWarning(
+    code="left-out",
+    field="analysis",
+    text="a second opinion and survival are of verified adversaries; this is none, so they were not made",
+)
+
+
+def not_made(request: AnalysisRequest, verified: bool) -> list[JobWarning]:
+    """A warning if a request has analyses that are of verified adversaries alone, and this is none."""
+    asks = request.second_opinion is not None or request.survival is not None
+    return [NO_ADVERSARY] if asks and not verified else []
 
 
 def analyse(subject: Subject, request: AnalysisRequest, out: Path, report: Report) -> Analyses:
@@ -150,11 +159,13 @@ def _wanted(prepared: Prepared, target: str, labels: tuple[str, ...]) -> Wanted:
 
 
 class StoredAnalysis(BaseModel):
-    """The table of subsets and the groups' Shapley values, made anew, and the analyses that were asked for."""
+    """The table of subsets and the groups' Shapley values, made anew, the analyses that were asked for, and warnings of
+    those that were not made."""
 
     subsets: list[Subset]
     attribution: Attribution
     analyses: Analyses
+    warnings: list[JobWarning]
 
 
 def analyse_stored(directory: Path, request: AnalysisRequest, library: Library, report: Report) -> StoredAnalysis:
@@ -171,7 +182,8 @@ def analyse_stored(directory: Path, request: AnalysisRequest, library: Library, 
     rows = subsets(verifier, prepared.settled.goal, perturbation, *ends)
     verified = stored.result.verdict.verified and bool(prepared.settled.goal.fooled(ends[1].logits))
     analyses = analyse(Subject(prepared, perturbation, *ends, verified), request, directory, report)
-    return StoredAnalysis(subsets=rows, attribution=of_subsets(rows), analyses=analyses)
+    warnings = not_made(request, verified)
+    return StoredAnalysis(subsets=rows, attribution=of_subsets(rows), analyses=analyses, warnings=warnings)
 
 
 def rerender_image(

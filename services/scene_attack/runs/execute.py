@@ -33,7 +33,7 @@ from scene_attack.rendering.declaration import RENDERERS
 from scene_attack.rendering.physical_change import Change, change_images, changes_in_words
 from scene_attack.rendering.plan import Plan
 from scene_attack.rendering.protocol import Parameters, Renderer
-from scene_attack.runs.analyse import Report, Subject, analyse, asks_of_adversary
+from scene_attack.runs.analyse import Report, Subject, analyse, not_made
 from scene_attack.runs.prepare import Prepared, by_task, lit_by_map, prepare, prepare_exactly
 from scene_attack.runs.result import (
     ATTACKED,
@@ -56,11 +56,6 @@ from scene_attack.runs.task_parts import ResultPart
 from scene_attack.scenes.library import Library
 from scene_attack.targets.info import TARGETS
 
-NO_ADVERSARY = JobWarning(
-    code="left-out",
-    field="analysis",
-    text="a second opinion and survival are of verified adversaries; this is none, so they were not made",
-)
 _VERSIONED = ("scene-attack", "torch", "numpy", "pyrender-maintained", "PyOpenGL", "trimesh", "OpenEXR", "safetensors")
 
 
@@ -174,7 +169,7 @@ def _write(
     result = Result(
         spec=prepared.spec.model_dump(mode="json"),
         verdict=verdict,
-        warnings=[*settled.warnings, *([] if verdict.verified or not asks_of_adversary(asked) else [NO_ADVERSARY])],
+        warnings=[*settled.warnings, *not_made(asked, verdict.verified)],
         original=answer_of(original.logits),
         attacked=answer_of(attacked.logits),
         in_loop=answer_of(run.best.scores),

@@ -10,7 +10,7 @@ from safetensors.torch import load_file, save_file
 from scene_attack.analysis.images import save_png
 from scene_attack.analysis.records import AnalysisRequest, Rerendering
 from scene_attack.errors import InvalidRequest
-from scene_attack.runs.analyse import StoredAnalysis, analyse_stored
+from scene_attack.runs.analyse import NO_ADVERSARY, StoredAnalysis, analyse_stored
 from scene_attack.runs.execute import execute
 from scene_attack.runs.prepare import prepare
 from scene_attack.runs.result import PERTURBATION
@@ -22,14 +22,16 @@ pytestmark = pytest.mark.slow
 
 def test_analyse_prints_what_was_asked_for_and_keeps_it(tmp_path: Path) -> None:
     execute(spec({"renderer": "torch", "groups": ["illumination", "material"], "steps": 1}), tmp_path, LIBRARY)
-    done = cli("analyse", str(tmp_path), "--minimal")
+    done = cli("analyse", str(tmp_path), "--minimal", "--survival")
     assert done.returncode == 0, done.stderr
     for words in ("Subsets of the groups", "Shapley values of the groups, exact", "Minimal change", "largest texel"):
         assert words in done.stdout
     assert "minimal" in done.stderr  # progress
+    assert NO_ADVERSARY.text in done.stderr  # one step fools nobody
     kept = StoredAnalysis.model_validate_json((tmp_path / "analyses.json").read_text())
     assert kept.analyses.minimal is not None
     assert kept.analyses.coordinates is None
+    assert kept.analyses.survival is None
     save_file(load_file(tmp_path / PERTURBATION) | {"illumination": torch.zeros(2, 3)}, tmp_path / PERTURBATION)
     with pytest.raises(InvalidRequest, match=r"directory: .*'illumination': \[2, 3\]"):
         analyse_stored(tmp_path, AnalysisRequest(), LIBRARY, lambda *_: None)

@@ -11,7 +11,7 @@ import scene_attack as sa
 from scene_attack.attacks.run import SEEDS
 from scene_attack.rendering.declaration import RENDERERS, BuildRequest, Declaration, DeclaredRenderer, Group, register
 from scene_attack.rendering.plan import Plan
-from scene_attack.runs.execute import NO_ADVERSARY
+from scene_attack.runs.analyse import NO_ADVERSARY
 from scene_attack.runs.result import Result, success
 
 SCENE = {"camera": {"size": [64, 64]}, "objects": [{"mesh": "primitive/sphere"}]}

@@ -46,7 +46,7 @@ def analyse(
     The table of subsets and the groups' Shapley values are always made; options ask for more. All of it is written to
     analyses.json in the directory.
     """
-    from scene_attack.cli.tables import print_analyses, print_subsets
+    from scene_attack.cli.tables import print_analyses, print_subsets, warn
     from scene_attack.runs.environment import options_to_run
 
     options = options_to_run()
@@ -62,6 +62,7 @@ def analyse(
     }
     result = _analyse(directory, request, options)
     (directory / ANALYSES).write_text(result.model_dump_json(indent=1) + "\n", "utf-8")
+    warn(result.warnings)
     if as_json:
         print_json(result)
         return
