@@ -59,6 +59,7 @@ DEPENDS: dict[str, tuple[str, ...]] = {
     "docs/results/physical.json": ("torch", LITE0),
     "docs/results/vqa.json": ("pyrender", IEP),
     "docs/study/around.json": ("torch", RESNET),
+    "docs/study/blender.json": ("pyrender", ALEXNET, RESNET),
     "docs/study/differentiable.json": ("torch", ALEXNET, RESNET),
     "docs/study/equal-p.json": (*BOTH, ALEXNET, RESNET),
     "docs/study/examples.json": (*BOTH, ALEXNET, RESNET, IEP),

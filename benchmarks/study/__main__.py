@@ -8,6 +8,7 @@ from benchmarks.study import examples
 from benchmarks.study.pages import FOLDER, NAMES, WITH_EXAMPLES, write
 from benchmarks.study.record import save
 from benchmarks.study.recording import of_folder
+from scene_attack.runs.environment import options_to_run
 
 
 def main() -> None:
@@ -29,6 +30,7 @@ def main() -> None:
         for path in write(options.study):
             print(path)
         return
+    options_to_run()  # a campaign may name what a plug-in brings
     study_record = of_folder(options.folder)
     save(study_record, options.study / f"{options.name}.json")
     if options.name in WITH_EXAMPLES:
