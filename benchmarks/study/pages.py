@@ -82,22 +82,27 @@ def curves_of(*names: str) -> Callable[[Study], str]:
     )
 
 
-def shown(study: Study) -> str:
-    """The examples: a row of three images for each, with the answers before and after."""
-    if not study.examples:
-        return ""
-    rows = []
-    for example in study.examples:
-        images = (f"![{text}]({example.name}-{text}.png)" for text in examples.IMAGES.values())
-        rows.append([f"{image}<br>{note}" for image, note in zip(images, _notes(example), strict=True)])
-    creators = sorted({credit for example in study.examples for credit in example.credits})
-    table = "\n".join(
-        "| " + " | ".join(cells) + " |"
-        for cells in (("before", "attacked, rendered afresh", "difference ×5"), (":---:",) * 3, *rows)
-    )
-    words = (f"- {example.attack}: {'; '.join(example.words)}." for example in study.examples if example.words)
-    small = f"<small>{'; '.join(creators)}</small>" if creators else ""
-    return "\n\n".join(part for part in (table, "\n".join(words), small) if part)
+def shown(*campaigns: str) -> Callable[[Study], str]:
+    """The examples of campaigns: a row of three images for each, with the answers before and after."""
+
+    def written(study: Study) -> str:
+        chosen = [example for example in study.examples if example.campaign in campaigns]
+        if not chosen:
+            return ""
+        rows = []
+        for example in chosen:
+            images = (f"![{text}]({example.name}-{text}.png)" for text in examples.IMAGES.values())
+            rows.append([f"{image}<br>{note}" for image, note in zip(images, _notes(example), strict=True)])
+        creators = sorted({credit for example in chosen for credit in example.credits})
+        table = "\n".join(
+            "| " + " | ".join(cells) + " |"
+            for cells in (("before", "attacked, rendered afresh", "difference ×5"), (":---:",) * 3, *rows)
+        )
+        words = (f"- {example.attack}: {'; '.join(example.words)}." for example in chosen if example.words)
+        small = f"<small>{'; '.join(creators)}</small>" if creators else ""
+        return "\n\n".join(part for part in (table, "\n".join(words), small) if part)
+
+    return written
 
 
 def _notes(example: examples.Example) -> tuple[str, str, str]:
@@ -161,12 +166,13 @@ CLASSIFICATION = Page(
         "nondifferentiable curves": curves_of("nondifferentiable"),
         "blender": of("blender", tables.nondifferentiable),
         "blender curves": curves_of("blender"),
+        "blender example": shown("blender"),
         "equal p": of("equal-p", equal_p.section),
         "one look views": of_all(ONE_LOOK, tables.views),
         "one look": of_all((*ONE_LOOK, "differentiable"), one_look.light_and_material),
         "tolerances": of_all(["tolerances"], tables.work),
         "tolerance curves": curves_of("tolerances"),
-        "examples": shown,
+        "examples": shown("differentiable", "nondifferentiable"),
         "foot": foot,
     },
 )
@@ -189,7 +195,7 @@ VQA = Page(
         "kinds nondifferentiable": of(THROUGH_PYRENDER, tables.left_kind),
         "modules": of(THROUGH_TORCH, tables.fooled_first),
         "modules nondifferentiable": of(THROUGH_PYRENDER, tables.fooled_first),
-        "examples": shown,
+        "examples": shown(THROUGH_TORCH, THROUGH_PYRENDER),
         "foot": foot,
     },
 )
@@ -209,7 +215,7 @@ PHYSICAL = Page(
         "wavelengths": of("physical", physical.by_wavelength),
         "around": of("around", physical.around),
         "around curves": curves_of("around"),
-        "examples": shown,
+        "examples": shown("physical"),
         "foot": foot,
     },
 )
