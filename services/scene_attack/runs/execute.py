@@ -17,7 +17,7 @@ from torch import Tensor
 from scene_attack.analysis.attribution import of_subsets
 from scene_attack.analysis.expectation import held_over
 from scene_attack.analysis.images import answer, beyond, magnified, of_float_images, of_groups, of_images, save_png
-from scene_attack.analysis.records import Analyses, AnalysisRequest, Answer, HeldOver
+from scene_attack.analysis.records import Answer, HeldOver
 from scene_attack.analysis.subsets import ScoredImage, scored, subsets
 from scene_attack.attacks.leave_out import LeftOut, leave_out
 from scene_attack.attacks.limits import at_epsilon
@@ -161,9 +161,8 @@ def _write(
     ends = original, attacked
     rows = subsets(verifier, settled.goal, stored, *ends, lambda row, image: save_png(image, out / subset_image(row)))
     verdict, part = _verdict(prepared, run, attacked, out)
-    analyses, asked = Analyses(), prepared.spec.analysis
-    if asked != AnalysisRequest():  # it asks for some
-        analyses = analyse(Subject(prepared, stored, *ends, verdict.verified), asked, out, report)
+    asked = prepared.spec.analysis
+    analyses = analyse(Subject(prepared, stored, *ends, verdict.verified), asked, out, report)
     held = _held_over(prepared, stored, partial(report, "expectation"))
     answer_of = partial(answer, labels=prepared.target.labels, goal=settled.goal)
     result = Result(
