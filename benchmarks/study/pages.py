@@ -42,7 +42,7 @@ class Page:
         Raises FileNotFoundError if a record is missing.
         """
         records = {name: load(folder / f"{name}.json") for name in self.curves}
-        study = Study(records, [example for example in examples.load(folder) if example.campaign in self.with_examples])
+        study = Study(records, examples.load(folder))
         text = Path(__file__).with_name(self.name).read_text("utf-8")
         for name, part in self.parts.items():
             mark = "{{" + name + "}}"
@@ -73,6 +73,11 @@ def of_all(names: Sequence[str], write: Callable[[Sequence[Record]], str]) -> Ca
     return lambda study: write([study.records[name] for name in names])
 
 
+def of_examples(campaigns: Sequence[str], write: Callable[[Sequence[examples.Example]], str]) -> Callable[[Study], str]:
+    """A part of the examples of several campaigns."""
+    return lambda study: write([example for example in study.examples if example.campaign in campaigns])
+
+
 def curves_of(*names: str) -> Callable[[Study], str]:
     """The curves of these records."""
     return lambda study: "\n\n".join(
@@ -82,27 +87,22 @@ def curves_of(*names: str) -> Callable[[Study], str]:
     )
 
 
-def shown(*campaigns: str) -> Callable[[Study], str]:
-    """The examples of campaigns: a row of three images for each, with the answers before and after."""
-
-    def written(study: Study) -> str:
-        chosen = [example for example in study.examples if example.campaign in campaigns]
-        if not chosen:
-            return ""
-        rows = []
-        for example in chosen:
-            images = (f"![{text}]({example.name}-{text}.png)" for text in examples.IMAGES.values())
-            rows.append([f"{image}<br>{note}" for image, note in zip(images, _notes(example), strict=True)])
-        creators = sorted({credit for example in chosen for credit in example.credits})
-        table = "\n".join(
-            "| " + " | ".join(cells) + " |"
-            for cells in (("before", "attacked, rendered afresh", "difference ×5"), (":---:",) * 3, *rows)
-        )
-        words = (f"- {example.attack}: {'; '.join(example.words)}." for example in chosen if example.words)
-        small = f"<small>{'; '.join(creators)}</small>" if creators else ""
-        return "\n\n".join(part for part in (table, "\n".join(words), small) if part)
-
-    return written
+def shown(chosen: Sequence[examples.Example]) -> str:
+    """Examples: a row of three images for each, with the answers before and after."""
+    if not chosen:
+        return ""
+    rows = []
+    for example in chosen:
+        images = (f"![{text}]({example.name}-{text}.png)" for text in examples.IMAGES.values())
+        rows.append([f"{image}<br>{note}" for image, note in zip(images, _notes(example), strict=True)])
+    creators = sorted({credit for example in chosen for credit in example.credits})
+    table = "\n".join(
+        "| " + " | ".join(cells) + " |"
+        for cells in (("before", "attacked, rendered afresh", "difference ×5"), (":---:",) * 3, *rows)
+    )
+    words = (f"- {example.attack}: {'; '.join(example.words)}." for example in chosen if example.words)
+    small = f"<small>{'; '.join(creators)}</small>" if creators else ""
+    return "\n\n".join(part for part in (table, "\n".join(words), small) if part)
 
 
 def _notes(example: examples.Example) -> tuple[str, str, str]:
@@ -166,13 +166,13 @@ CLASSIFICATION = Page(
         "nondifferentiable curves": curves_of("nondifferentiable"),
         "blender": of("blender", tables.nondifferentiable),
         "blender curves": curves_of("blender"),
-        "blender example": shown("blender"),
+        "blender example": of_examples(["blender"], shown),
         "equal p": of("equal-p", equal_p.section),
         "one look views": of_all(ONE_LOOK, tables.views),
         "one look": of_all((*ONE_LOOK, "differentiable"), one_look.light_and_material),
         "tolerances": of_all(["tolerances"], tables.work),
         "tolerance curves": curves_of("tolerances"),
-        "examples": shown("differentiable", "nondifferentiable"),
+        "examples": of_examples(["differentiable", "nondifferentiable"], shown),
         "foot": foot,
     },
 )
@@ -195,7 +195,7 @@ VQA = Page(
         "kinds nondifferentiable": of(THROUGH_PYRENDER, tables.left_kind),
         "modules": of(THROUGH_TORCH, tables.fooled_first),
         "modules nondifferentiable": of(THROUGH_PYRENDER, tables.fooled_first),
-        "examples": shown(THROUGH_TORCH, THROUGH_PYRENDER),
+        "examples": of_examples([THROUGH_TORCH, THROUGH_PYRENDER], shown),
         "foot": foot,
     },
 )
@@ -215,7 +215,7 @@ PHYSICAL = Page(
         "wavelengths": of("physical", physical.by_wavelength),
         "around": of("around", physical.around),
         "around curves": curves_of("around"),
-        "examples": shown("physical"),
+        "examples": of_examples(["physical"], shown),
         "foot": foot,
     },
 )
@@ -230,7 +230,7 @@ SURVIVAL = Page(
         "views": of_all(("survival", OPINION), tables.views),
         "cameras": of("survival", survival.before_cameras),
         "others": of(OPINION, survival.drawn_by_others),
-        "pictures": lambda study: survival.pictures(study.examples),
+        "pictures": of_examples([OPINION], survival.pictures),
         "foot": foot,
     },
 )
