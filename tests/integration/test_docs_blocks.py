@@ -37,6 +37,7 @@ ELSEWHERE = {
     ("README.md", "import torch"): "tests/unit/docs/test_targets_page.py runs it, and reads what it found",
     ("index.md", "scene-attack serve"): LISTED,
     ("index.md", "scene-attack campaign run"): LISTED,
+    ("index.md", "scene-attack convert"): "tests/unit/blender runs it, where Blender is",
     ("index.md", "scene-attack accuracy"): "minutes of measurements; tests/unit/accuracy runs their parts",
     ("campaigns.md", "scene-attack campaign list"): LISTED,
     (

@@ -21,7 +21,6 @@ from tests.integration.conftest import Stack, until
 from tests.integration.specs import ENDLESS, QUICK, long, scene
 from tests.integration.test_run import small
 from tests.unit.client.command_line import cli
-from tests.unit.path_tracing.conftest import missing
 from tests.unit.scenes.scene_files import Room
 
 pytestmark = pytest.mark.integration
@@ -32,6 +31,7 @@ ELSEWHERE = {
     "SCENE_ATTACK_REDIS_URL": "test_many_machines starts them, and this address is another machine's",
     "demo": "test_demo runs it",
     "doctor": "test_command_line runs it",
+    "convert": "tests/unit/blender runs it, where Blender is",
     "accuracy": "minutes of measurements; tests of services/scene_attack_accuracy run their parts",
     "assets fetch": "tests/unit/scenes/test_fetch runs it with packages of its own",
     "pg_restore": "a program of PostgreSQL; tests/unit/jobs restores a copy with it",
@@ -47,18 +47,11 @@ def _is_elsewhere(example: str) -> bool:
 
 
 class Reader:
-    """A reader's folder, with small files under the names of the examples. Where there is no Blender, nothing is
-    converted."""
+    """A reader's folder, with small files under the names of the examples."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.left = [example for example in EXAMPLES if not _is_elsewhere(example)]
-        self.converts = missing("blender") is None
-        if self.converts:
-            from tests.unit.blender.blend_files import room  # the plug-in and its tests can be taken away together
-
-            room(folder)
-            (folder / "room.usdz").rename(folder / "kitchen.usdz")
         self.environ = {"SCENE_ATTACK_DATA": str(folder / "data")}
         for name in ("examples", "out", "bin", "backups"):
             (folder / name).mkdir()
@@ -93,8 +86,6 @@ class Reader:
     def command(self, text: str) -> str:
         """The standard output of one command, run in this process. It may read a file by `<`."""
         _, *arguments = shlex.split(text, comments=True)
-        if arguments[0] == "convert" and not self.converts:
-            return ""
         stdin = ""
         if "<" in arguments:
             *arguments, _, file = arguments
@@ -153,8 +144,6 @@ def alone(reader: Reader) -> None:
     run("scene-attack assets list --category Bathroom --licence CC0")
     assert "grand-piano" in run("scene-attack assets show furniture/grand-piano")
     assert "courtyard" in run("scene-attack assets environments")
-    run("scene-attack convert kitchen.usdz kitchen.glb")
-    run("scene-attack convert room.blend room.glb")
     assert "Ball" in run("scene-attack scene show room.glb")
     run("scene-attack scene show room.glb --out scene.png")
     assert (reader.folder / "scene.png").is_file()

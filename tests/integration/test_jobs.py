@@ -2,19 +2,20 @@
 
 import hashlib
 import json
-from importlib.metadata import entry_points
+import tomllib
 from typing import Any
 
 import httpx
 import pytest
 from httpx_sse import connect_sse
 
-from scene_attack.plugins import GROUP
 from tests.integration.conftest import Stack, until
 from tests.integration.specs import ENDLESS, QUICK, long, scene
+from tests.packages import ROOT
 
 pytestmark = pytest.mark.integration
 
+PLUGINS = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["entry-points"]["scene_attack.plugins"]
 FILES = {
     "result.json",
     "trace.json",
@@ -142,6 +143,6 @@ def test_ready_means_a_worker(stack: Stack) -> None:
     parts = dict.fromkeys(("ready", "database", "redis", "storage", "worker"), True)
     ready = answer()
     loaded = [(plugin["name"], plugin["error"]) for plugin in ready.pop("plugins")]
-    assert loaded == [(name, None) for name in sorted(entry_points(group=GROUP).names)]
+    assert loaded == [(name, None) for name in sorted(PLUGINS)]
     assert ready == parts | {"workers": 1, "targets": []}
     until(lambda: answer()["workers"] == 1, "the worker keeps saying that it lives")

@@ -9,10 +9,11 @@ from zipfile import ZipFile
 
 import pytest
 
+from tests.packages import FOLDERS
+
 pytestmark = pytest.mark.integration
 
 ROOT = Path(__file__).parents[2]
-PACKAGES = {path.parent.name for room in ("services", "api", "worker") for path in (ROOT / room).glob("*/__init__.py")}
 KERNELS = {f"scene_attack/rendering/kernels/kernels-{level}.so" for level in ("v3", "v4")}
 ATTACK = """
 import sys
@@ -70,11 +71,11 @@ def test_the_wheel_has_our_packages_whole_and_its_kernels_run_without_a_compiler
     assert wheel.name.endswith("-py3-none-linux_x86_64.whl")
     assert wheel.stat().st_size < 60_000_000
     listed = subprocess.run(
-        ["git", "ls-files", *(f"*/{name}/*" for name in PACKAGES)], cwd=ROOT, capture_output=True, text=True, check=True
+        ["git", "ls-files", *(f"*/{name}/*" for name in FOLDERS)], cwd=ROOT, capture_output=True, text=True, check=True
     )
     ours = {name.partition("/")[2] for name in listed.stdout.splitlines() if "/kernels/src/" not in name}
     assert contents(wheel) == ours | KERNELS
-    assert {name.partition("/")[0] for name in ours} == PACKAGES
+    assert {name.partition("/")[0] for name in ours} == set(FOLDERS)
     assert attacked(wheel, tmp_path).startswith("native v")
 
 

@@ -15,6 +15,7 @@ from packaging.utils import canonicalize_name
 
 from scene_attack.errors import InvalidRequest
 from scene_attack.extras import MODULES, MissingExtra, extra
+from tests.packages import FOLDERS
 
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
@@ -78,9 +79,9 @@ def found_in(*roots: str) -> list[tuple[str, str, bool]]:
     ]
 
 
-SERVED = ("services/scene_attack_service", "api", "worker")
-LIBRARY = found_in(*{f"services/{path.name}" for path in (ROOT / "services").glob("scene_attack*")}.difference(SERVED))
-SERVICE = found_in(*SERVED)
+SERVED = ("scene_attack_service", "scene_attack_api", "scene_attack_worker")
+LIBRARY = found_in(*(str(path) for name, path in FOLDERS.items() if name not in SERVED))
+SERVICE = found_in(*(str(FOLDERS[name]) for name in SERVED))
 
 
 def test_a_plain_installation_is_sixteen_packages_and_each_is_imported() -> None:

@@ -2,9 +2,12 @@
 
 import json
 import re
+import shlex
+import shutil
 import subprocess
 import sys
 from collections import Counter
+from contextlib import chdir
 from math import atan, pi, sqrt
 from pathlib import Path
 
@@ -12,6 +15,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from scene_attack.cli.commands_page import commands, examples
 from scene_attack.cli.specs import local_library
 from scene_attack.client.meshes import bundle_at
 from scene_attack.options import DEFAULTS
@@ -47,6 +51,18 @@ def read(file: Path) -> SceneFile:
 
 def converted(file: Path, to: Path) -> Done:
     return cli("convert", str(file), str(to))
+
+
+def test_the_examples_of_its_help_run(made: tuple[Path, dict[str, Box]], tmp_path: Path) -> None:
+    for file, example in (("room.blend", "room.blend"), ("room.usdz", "kitchen.usdz")):
+        shutil.copyfile(made[0] / file, tmp_path / example)
+    shown = [example for name, command in commands() if name.endswith("convert") for example in examples(command)]
+    assert len(shown) == 2
+    for example in shown:
+        _, *arguments = shlex.split(example)
+        with chdir(tmp_path):
+            done = cli(*arguments)
+        assert done.returncode == 0, f"{example}\n{done.stdout}{done.stderr}"
 
 
 @pytest.mark.parametrize("name", ["room.blend", "room.usda", "room.usdz"])

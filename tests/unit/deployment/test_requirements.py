@@ -10,11 +10,14 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 from packaging.version import Version
 
+from tests.packages import FOLDERS
+
 pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).parents[3]
 PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 PROJECT = PYPROJECT["project"]
+WHEEL = PYPROJECT["tool"]["scikit-build"]["wheel"]["packages"]
 BUILD = PYPROJECT["build-system"]["requires"]
 EXTRAS = PROJECT["optional-dependencies"]
 DEVELOPMENT = ("dev", "bench", "maite", "mitsuba", "pandas")
@@ -119,9 +122,8 @@ def test_the_extra_for_benchmarks_is_among_their_requirements() -> None:
 
 @pytest.mark.questions
 def test_each_package_says_that_it_is_typed() -> None:
-    packages = [path for root in ("services", "api", "worker") for path in (ROOT / root).glob("scene_attack*")]
-    assert packages
-    assert all((package / "py.typed").is_file() for package in packages)
+    assert {str(path.relative_to(ROOT)) for path in FOLDERS.values()} == set(WHEEL)
+    assert all((package / "py.typed").is_file() for package in FOLDERS.values())
 
 
 def test_what_the_package_declares_as_its_licence_is_there_also_in_the_image() -> None:

@@ -7,6 +7,8 @@ import grimp
 import networkx
 import pytest
 
+from tests.packages import FOLDERS
+
 ROOT = Path(__file__).parents[3]
 PAGE = (ROOT / "docs" / "reference" / "architecture.md").read_text("utf-8")
 DRAWN_ROOMS = dict(re.findall(r'^    (\w+)\["([\w/]+):', PAGE, re.MULTILINE))
@@ -14,9 +16,6 @@ DRAWN_ARROWS = set(re.findall(r"^    (\w+) --> (\w+)$", PAGE, re.MULTILINE))
 LIBRARY = ROOT / "services" / "scene_attack"
 GROUND_FLOOR = {path.stem for path in LIBRARY.glob("*.py")} - {"objects", "owner", "plugin", "__main__"}
 """Modules of the library that every room may import; the page names them in words."""
-PACKAGES = [
-    path.parent.name for place in ("services", "api", "worker") for path in (ROOT / place).glob("*/__init__.py")
-]
 
 
 def room(module: str) -> str | None:
@@ -31,7 +30,7 @@ def room(module: str) -> str | None:
 @pytest.fixture(scope="module")
 def imports() -> networkx.DiGraph:
     """Which room imports which."""
-    modules = grimp.build_graph(*PACKAGES, "training")
+    modules = grimp.build_graph(*FOLDERS, "training")
     found = networkx.DiGraph()
     for module in modules.modules:
         here = room(module)
